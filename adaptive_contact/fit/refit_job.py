@@ -43,8 +43,9 @@ SLOPE_RANGE: Final = (0.035, 0.8)  # rad; half and twice of what the family was 
 # By so much the rows have to be likelier (the logarithm).  Where the slope is right no other gains;
 # where none is, neighbours differ by up to 38; off by 4 it is 30 to 600 (decision 55).
 LEAST_GAIN: Final = 40.0
-# A guessed noise whose square is exceeded so many times is not the leg's: its lifts do not settle.
-GUESS_LEVEL: Final = 2.5
+# Where the residuals' mean square exceeds that of the prior so many times, the prior's noise is not
+# the leg's: at the same level its lifts would not settle.
+PRIOR_EXCEEDED: Final = 2.5
 # λ, in units of the noise: a baseline's fit chooses 0.05 to 0.3.
 THRESHOLD: Final = 0.1
 
@@ -59,8 +60,8 @@ class RefitJob:
     values: Array  # (n, p + J) regressors and movements of free rows, in order
     library: Library  # of the first q of p terms
     quantum_rad: float  # position step
-    # (J,) rad, of the model at its start, where that is a guess; None of a leg with a baseline
-    guessed: Array | None = None
+    # (J,) rad, residuals that the prior expects; None for a leg that began with a baseline
+    prior_rms: Array | None = None
 
     def run(self) -> RefitResult:
         """Find the slope, and fit a model of it."""
@@ -75,7 +76,7 @@ class RefitResult:
     status: FitStatus = FitStatus.OK  # how it ended
     slope_rad: float = 0.0  # the likeliest
     gain: float = 0.0  # logarithm of how much likelier the rows are than by the present slope
-    level: float = 1.0  # mean square of the residuals over the guessed noise's
+    level: float = 1.0  # mean square of the residuals over the prior's
     start: LegBaseline | None = None  # what to go on from; None where the present model may stay
 
 
@@ -142,10 +143,10 @@ def refit(job: RefitJob) -> RefitResult:
     evidence = {slope: posterior.evidence(sigma) for slope, posterior in tried.items()}
     best = max(evidence, key=lambda slope: evidence[slope])
     gain = evidence[best] - evidence[present]
-    level = 1.0 if job.guessed is None else float(np.square(sigma / job.guessed).mean())
+    level = 1.0 if job.prior_rms is None else float(np.square(sigma / job.prior_rms).mean())
     found = RefitResult(job.number, FitStatus.OK, best, gain, level)
     likelier = gain >= LEAST_GAIN
-    if not (likelier or level > GUESS_LEVEL):
+    if not (likelier or level > PRIOR_EXCEEDED):
         return found
     start = tried[best if likelier else present].start(sigma)
     if start is None:

@@ -106,9 +106,8 @@ class LivePage:
         if self._server.is_alive():
             self._site.history.end(farewell)
             # A browser that looks takes its last words within milliseconds.
-            until_s = time.monotonic() + 0.5
-            while self._site.streams and time.monotonic() < until_s:
-                time.sleep(0.02)
+            with self._site.lock:
+                self._site.lock.wait_for(lambda: not self._site.streams, 0.5)
             self._site.shutdown()
             self._server.join(_END_S)
         self._site.server_close()

@@ -205,7 +205,8 @@ class Site(socketserver.ThreadingTCPServer):
         }
         self.history = History()
         self.streams = 0
-        self.lock = threading.Lock()
+        # Held while connections are counted; woken when a browser has gone.
+        self.lock = threading.Condition()
         # Connections that are no streams, with their address, the oldest first.
         self.waiting: dict[socket.socket, str] = {}
         host, port = settings.host, settings.port
@@ -447,6 +448,7 @@ class _Connection(BaseHTTPRequestHandler):
         finally:
             with site.lock:
                 site.streams -= 1
+                site.lock.notify_all()
 
 
 def _own_address() -> str:

@@ -8,11 +8,11 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from adaptive_contact_bullet.gait import GAITS, Gait
+from adaptive_contact_bullet.gait import GAITS, Gait, Stop
 from adaptive_contact_bullet.plant import Kind
 from adaptive_contact_bullet.robots import SHAPES, LegShape, Shape
 from adaptive_contact_bullet.servo import Servo
@@ -106,7 +106,7 @@ def _leg(of: LegShape, size: float, link_kg: list[float]) -> LegShape:
 def _gait(name: str, rng: np.random.Generator, size: float, *, four: bool) -> Gait:
     planned = bool(rng.random() < 0.4)
     below_m = rng.uniform(0.001, 0.005) if planned else rng.uniform(0.005, 0.03)
-    given: dict[str, Any] = {"stop": "never" if planned else "touch"}
+    stop: Stop = "never" if planned else "touch"
     if four:
         of, cycle_s, below_m = GAITS["trot"], rng.uniform(0.4, 0.8), 0.5 * below_m
     else:
@@ -114,5 +114,5 @@ def _gait(name: str, rng: np.random.Generator, size: float, *, four: bool) -> Ga
         cycle_s = of.cycle_s * _times(rng, 0.7, 2.5)
     return dataclasses.replace(
         of, name=name, cycle_s=cycle_s, step_m=of.step_m * size, below_m=below_m,
-        height_m=size * rng.uniform(0.025, 0.05), react_s=rng.uniform(0.03, 0.12), **given,
+        height_m=size * rng.uniform(0.025, 0.05), react_s=rng.uniform(0.03, 0.12), stop=stop,
     )  # fmt: skip

@@ -23,6 +23,9 @@ _DOWN: Final = 0.55  # share after which it comes down
 _LARGEST_RAD: Final = 0.3  # step of one iteration
 
 
+Stop = Literal["touch", "never"]
+
+
 @dataclasses.dataclass(frozen=True)
 class Gait:
     """One way to walk, or to swing on the spot."""
@@ -34,7 +37,7 @@ class Gait:
     step_m: float
     height_m: float
     below_m: float  # of the ground, that a descent aims at
-    stop: Literal["touch", "never"] = "touch"
+    stop: Stop = "touch"
     react_s: float = 0.08
     linger_s: float = 0.0  # that a swing waits for its touch after the command has ended
     scatter_m: float = 0.012  # of targets, and of step and height

@@ -96,18 +96,18 @@ def test_the_gain_is_that_of_the_rows_probability_under_the_family(robot: Robot)
 
 
 @pytest.mark.parametrize("noise", [0.003, 0.02])
-def test_a_leg_goes_on_with_its_own_noise_where_the_guess_was_too_small(
+def test_a_leg_goes_on_with_its_own_noise_where_the_prior_s_is_too_small(
     robot: Robot, noise: float
 ) -> None:
     library = library_of(robot)
-    guessed = leg_prior(library, QUANTUM).noise.rms
+    prior_rms = leg_prior(library, QUANTUM).noise.rms
     values = free_rows(library, noise=noise)
     theta, target = values[:, :-3], values[:, -3:]
     off = target - theta @ np.linalg.lstsq(theta, target, rcond=None)[0]
     own = np.sqrt(np.square(off).mean(axis=0))
-    found = refit(RefitJob("rf", 1, values, library, QUANTUM, guessed))
+    found = refit(RefitJob("rf", 1, values, library, QUANTUM, prior_rms))
     assert found.gain < LEAST_GAIN
-    assert found.level == pytest.approx(np.square(own / guessed).mean(), rel=0.25)
+    assert found.level == pytest.approx(np.square(own / prior_rms).mean(), rel=0.25)
     assert refit(RefitJob("rf", 1, values, library, QUANTUM)).start is None  # has a baseline
     if noise == 0.003:
         assert found.start is None
@@ -183,7 +183,9 @@ def test_a_slope_by_which_the_rows_are_much_likelier_is_promoted(
     assert own.counts.last_reason == ("promoted: a slope of 0.0656 rad fits better by 100 nats")
 
 
-def test_what_was_guessed_of_the_noise_is_corrected(robot: Robot, start: LegBaseline) -> None:
+def test_a_noise_of_the_prior_that_is_too_small_is_replaced(
+    robot: Robot, start: LegBaseline
+) -> None:
     own, _ = asked(robot, RefitResult(1, FitStatus.OK, 0.0656, 39.0, 16.0, start))
     assert answer(own) is start
     assert own.counts.last_reason == "promoted: errors are 4.0 times those that were expected"

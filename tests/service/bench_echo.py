@@ -142,7 +142,7 @@ def flat(blocks: list[Trips]) -> list[float]:
 
 
 def drawn(blocks: list[Trips], rng: np.random.Generator) -> float:
-    """The p99 of seconds that are drawn anew within each block."""
+    """The p99 of seconds that are resampled within each block."""
     chosen = [rng.choice(list(block), len(block)) for block in blocks]
     pairs = zip(blocks, chosen, strict=True)
     return float(np.percentile([ms for block, at in pairs for s in at for ms in block[s]], 99))

@@ -139,7 +139,7 @@ class Lockstep:
         self.service.finish()
         self.service.look(now_ns)
 
-    def hear(self, *samples: ServoSample) -> None:
+    def deliver(self, *samples: ServoSample) -> None:
         """One sample of leg rf per control tick."""
         for sample in samples:
             self.now_ns += 20_000_000

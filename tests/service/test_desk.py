@@ -55,11 +55,11 @@ def test_losses_over_a_restart_count_from_the_last_sample_that_was_used(
     live: Live, inbox: Any, sample: Sample
 ) -> None:
     with live() as first:
-        first.hear(*(sample(seq) for seq in range(1, 1001)), sample(3))
+        first.deliver(*(sample(seq) for seq in range(1, 1001)), sample(3))
         assert first.bank.learner("rf").rejects == {"time_backwards": 1}
     with live() as second:
         got = second.statuses(inbox)
-        second.hear(*(sample(seq) for seq in range(1011, 1015)))
+        second.deliver(*(sample(seq) for seq in range(1011, 1015)))
         second.idle(60)
         assert got.wait(1)[-1].missed == 10
 
@@ -68,14 +68,14 @@ def test_a_status_after_a_restart_has_the_gap_or_says_that_it_lacks_it(
     live: Live, inbox: Any, sample: Sample
 ) -> None:
     with live() as first:
-        first.hear(*(sample(seq) for seq in range(1, 11)))
+        first.deliver(*(sample(seq) for seq in range(1, 11)))
     with live() as second:
         got = second.statuses(inbox)
         second.idle(60)
         assert "`missed` lacks" in got.wait(1)[-1].note
-        second.hear(sample(211), sample(212))  # one sample could be another writer's
+        second.deliver(sample(211), sample(212))  # one sample could be another writer's
         second.now_ns += S
-        second.hear(sample(213), sample(214))
+        second.deliver(sample(213), sample(214))
         found = got.wait(lambda items: items[-1].status == "valid")
         assert [status.missed for status in found if status.status == "valid"] == [200]
 
@@ -86,7 +86,7 @@ def followed(live: Live, inbox: Any, sample: Sample) -> Iterator[tuple[Any, Any,
     with live() as life:
         tokens, got = inbox(), life.statuses(inbox)
         life.client.watch_tokens("robot/leg/*", tokens)
-        life.hear(*(sample(seq) for seq in range(1, 11)))
+        life.deliver(*(sample(seq) for seq in range(1, 11)))
         tokens.wait(1)
         yield life, tokens, got
 
@@ -97,7 +97,7 @@ def test_a_leg_whose_servos_do_not_answer_is_silent(
     """Its samples go on, as a bridge sends them that has lost the bus."""
     life, tokens, got = followed
     mute = [False] * 3
-    life.hear(*(sample(seq, valid=mute) for seq in range(11, 240)))
+    life.deliver(*(sample(seq, valid=mute) for seq in range(11, 240)))
     found = got.wait(lambda items: " for 4." in str(items[-1].note))[-1]
     assert found.status == "silent"
     assert re.fullmatch(r"no servo has answered for 4\.\d s", found.note)
@@ -105,11 +105,11 @@ def test_a_leg_whose_servos_do_not_answer_is_silent(
     life.idle(100)  # nothing comes at all: another fault, another word
     found = got.wait(lambda items: str(items[-1].note).startswith("no sample for 6."))[-1]
     assert found.status == "silent"
-    life.hear(*(sample(seq, valid=[True, False, True]) for seq in range(240, 340)))
+    life.deliver(*(sample(seq, valid=[True, False, True]) for seq in range(240, 340)))
     found = got.wait(lambda items: items[-1].status == "valid" and " 7." in items[-1].note)[-1]
     told = r"joint 2 has not answered for 7\.\d s: judged by the others"
     assert re.fullmatch(told, found.note)
-    life.hear(*(sample(seq) for seq in range(340, 400)))
+    life.deliver(*(sample(seq) for seq in range(340, 400)))
     assert got.wait(lambda items: items[-1].note is None)[-1].status == "valid"
     tokens.wait(3)
 
@@ -118,12 +118,12 @@ def test_a_leg_whose_samples_are_all_refused_is_silent(
     followed: tuple[Any, Any, Any], sample: Sample
 ) -> None:
     life, tokens, got = followed
-    life.hear(*(sample(seq, measured=[math.nan, 0.0, 0.0]) for seq in range(11, 240)))
+    life.deliver(*(sample(seq, measured=[math.nan, 0.0, 0.0]) for seq in range(11, 240)))
     found = got.wait(lambda items: " for 4." in str(items[-1].note))[-1]
     assert found.status == "silent"
     assert re.fullmatch(r"no usable sample for 4\.\d s: not_finite", found.note)
     tokens.wait(2)
-    life.hear(*(sample(seq) for seq in range(400, 410)))
+    life.deliver(*(sample(seq) for seq in range(400, 410)))
     found = got.wait(lambda items: items[-1].status == "valid")[-1]
     assert found.note is None
     changes = tokens.wait(3)
@@ -135,7 +135,7 @@ def test_a_leg_that_never_sent_a_usable_sample_says_why(
 ) -> None:
     with live() as life:
         got = life.statuses(inbox)
-        life.hear(*(sample(seq, measured=[0.1]) for seq in range(110)))
+        life.deliver(*(sample(seq, measured=[0.1]) for seq in range(110)))
         found = got.wait(lambda items: " after 2." in str(items[-1].note))[-1]
         assert found.status == "silent"
         assert re.fullmatch(r"no usable sample yet, after 2\.\d s: wrong_joints", found.note)
@@ -157,10 +157,10 @@ def test_every_refusal_of_a_stream_is_logged_once_in_ten_seconds(
     live: Live, sample: Sample, reason: str, change: dict[str, Any]
 ) -> None:
     with live() as life, capture_logs() as logs:
-        life.hear(sample(1, run=1), *(sample(seq, run=2) for seq in range(2, 5)))
+        life.deliver(sample(1, run=1), *(sample(seq, run=2) for seq in range(2, 5)))
         for seq in range(5, 5 + 600):  # 24 s, a good sample after each bad one
             good = sample(seq, run=2)
-            life.hear(msgspec.structs.replace(good, **change), good)
+            life.deliver(msgspec.structs.replace(good, **change), good)
         assert life.bank.learner("rf").rejects == {reason: 600}
         lines = [line for line in logs if line["log_level"] == "warning"]
     assert [line["leg"] for line in logs if line["event"] == "source restarted"] == ["rf"]
@@ -176,7 +176,7 @@ def test_a_leg_that_cannot_say_how_it_is_begins_anew_and_says_that(
     with live() as life, capture_logs() as logs:
         got = life.statuses(inbox)
         life.bank.learner("rf").fault = ZeroDivisionError("in its status")
-        life.hear(*(sample(seq) for seq in range(1, 100)))
+        life.deliver(*(sample(seq) for seq in range(1, 100)))
         found = got.wait(lambda items: items[-1].status == "valid")[-1]
         assert found.note == "begun anew: in its status"
     (line,) = [line for line in logs if line["event"].startswith("fault in learning")]

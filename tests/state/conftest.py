@@ -43,14 +43,14 @@ class Desk:
         self.received_samples = 0
         self.position: Position | None = None
 
-    def hear(self, count: int = 1) -> None:
+    def deliver(self, count: int = 1) -> None:
         self.received_samples += count
         self.position = Position(None, self.received_samples)
 
 
 def save(keeper: StateKeeper, desk: Desk) -> None:
     """Once more something is heard, and written."""
-    desk.hear()
+    desk.deliver()
     keeper.snapshot(desk, 0)
     assert keeper.flush(5.0)
 

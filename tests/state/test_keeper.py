@@ -55,18 +55,18 @@ def test_other_settings_start_clean_and_keep_the_old(folder: Folder) -> None:
 def test_every_ten_seconds_and_at_once_after_a_promotion(folder: Folder) -> None:
     keeper, desk = folder.begin()
     assert not keeper.due(desk, 100 * S), "without samples there is nothing new"
-    desk.hear()
+    desk.deliver()
     assert not keeper.due(desk, 1 * S)
     assert keeper.due(desk, 11 * S)
     keeper.snapshot(desk, 11 * S)
     assert not keeper.due(desk, 30 * S), "nothing heard since"
-    desk.hear()
+    desk.deliver()
     assert not keeper.due(desk, 20 * S)
     assert keeper.due(desk, 21 * S)
     desk.model_version = 2
     assert keeper.due(desk, 12 * S)
     keeper.snapshot(desk, 12 * S)
-    desk.hear()
+    desk.deliver()
     assert not keeper.due(desk, 13 * S)
 
 
@@ -120,7 +120,7 @@ def test_a_slow_disk_holds_nobody_up_and_gets_the_newest(
     monkeypatch.setattr(folder.store, "save", slow)
     for number in range(1, 6):
         desk.learner.number = number  # type: ignore[attr-defined]
-        desk.hear()
+        desk.deliver()
         keeper.snapshot(desk, 0)  # returns at once
         assert writing.wait(60)
     assert not keeper.flush(0.01)
@@ -217,7 +217,7 @@ def test_a_state_that_cannot_be_kept_is_counted_told_and_ends_no_other(
     bad.learner.snapshot = snapshot  # type: ignore[attr-defined]
     for desk in (bad, good):
         keeper.restore(desk.leg, desk.learner, "servo", 0)
-        desk.hear()
+        desk.deliver()
     bad.position = Position(number, 1)
     with capture_logs() as logs:
         for desk in (bad, good):

@@ -120,8 +120,8 @@ class Adapter:
         self._swings = 0  # since covariances were recomputed
         self._learned_swing = False
         self._kept = deque[_Kept](maxlen=KEPT_SWINGS)
-        guessed = None if start.spread is None else start.noise.rms
-        self.refit = PeriodicRefit(leg, start.model.library, quantum_rad, refitter, guessed)
+        prior_rms = None if start.spread is None else start.noise.rms
+        self.refit = PeriodicRefit(leg, start.model.library, quantum_rad, refitter, prior_rms)
         self._domain = start.domain
         self.found: LegBaseline | None = None
 

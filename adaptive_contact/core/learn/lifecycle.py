@@ -1,6 +1,6 @@
 """Decides which model a leg begins with: a baseline, what is known of any leg, or a saved state.
 
-A refit that finds another slope of the servos' law, or a larger noise than was guessed, makes
+A refit that finds another slope of the servos' law, or a larger noise than the prior's, makes
 another beginning (:meth:`take_refit`).
 
 What is known of any leg is used where there is no baseline, or an unfit one.  From then on an

@@ -2,8 +2,8 @@
 
 The recursion follows coefficients, and cannot follow the slope of the servos' control law, which is
 inside the terms.  A refit finds the slope by which the buffer's rows are the likeliest, and fits a
-sparse model of it (:mod:`adaptive_contact.fit.refit_job`); it also finds a noise that was guessed
-too small.  What it found to go on from is promoted.
+sparse model of it (:mod:`adaptive_contact.fit.refit_job`); it also finds a prior's
+noise that is too small.  What it found to go on from is promoted.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class PeriodicRefit:
         library: of the model.
         quantum_rad: position step.
         refitter: does the work.
-        guessed: (J,) rad, noise of a leg that began with a prior.
+        prior_rms: (J,) rad, residuals that the prior expects; None for a leg with a baseline.
     """
 
     def __init__(
@@ -66,9 +66,9 @@ class PeriodicRefit:
         library: Library,
         quantum_rad: float,
         refitter: Refitter,
-        guessed: Array | None = None,
+        prior_rms: Array | None = None,
     ) -> None:
-        self._guessed = guessed
+        self._prior_rms = prior_rms
         self._leg, self._quantum = leg, quantum_rad
         self._library, self._needed = plain_of(library), MIN_ROWS_PER_TERM * library.size
         self._refitter = refitter
@@ -111,7 +111,7 @@ class PeriodicRefit:
         self._every_swings, self._every_s = REFIT_EVERY_SWINGS, REFIT_EVERY_S
         self._at_once, self._pending, self._wait = False, True, None
         self._jobs += 1
-        job = RefitJob(self._leg, self._jobs, values, self._library, self._quantum, self._guessed)
+        job = RefitJob(self._leg, self._jobs, values, self._library, self._quantum, self._prior_rms)
         self._refitter.submit(job)
 
     def tick(self) -> LegBaseline | None:
