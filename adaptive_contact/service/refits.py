@@ -53,7 +53,9 @@ class ProcessRefitter:
         self._thread.submit(self._running)  # a job that finds no process says so
 
     def submit(self, job: Job) -> None:
-        """Queue a job; it replaces one of the same leg that still waits."""
+        """Queue a job; it replaces one of the same leg that still waits.  None after the end."""
+        if self._ending:
+            return
         if job.leg in self._jobs:
             self._jobs[job.leg][1].cancel()
         self._jobs[job.leg] = job.number, self._thread.submit(self._do, job)
@@ -63,8 +65,7 @@ class ProcessRefitter:
         known, result = self._jobs.get(leg, (None, None))
         if result is None or known != number or not result.done() or result.cancelled():
             return None
-        del self._jobs[leg]
-        return result.result()
+        return self._jobs.pop(leg)[1].result()
 
     def close(self) -> None:
         """End the process; what is under way is lost.  Calling it twice is safe."""

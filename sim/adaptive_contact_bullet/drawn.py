@@ -74,9 +74,7 @@ def _times(rng: np.random.Generator, least: float, most: float) -> float:
 
 
 def _servo(of: Servo, rng: np.random.Generator) -> Servo:
-    def times(least: float, most: float) -> float:
-        return _times(rng, least, most)
-
+    times = functools.partial(_times, rng)
     return Servo(
         stall_nm=of.stall_nm * times(0.6, 1.8),
         no_load_rad_s=of.no_load_rad_s * times(0.7, 1.6),

@@ -264,3 +264,10 @@ def test_one_that_was_started_before_is_used_and_ended(
 
 
 # -- What a leg is told of a refit that was given up
+
+
+def test_a_job_after_the_end_is_dropped() -> None:
+    refitter = ProcessRefitter()
+    refitter.close()
+    refitter.submit(job())
+    assert refitter.collect("rf", 1) is None
