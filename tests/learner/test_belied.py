@@ -40,22 +40,6 @@ def test_the_doubt_begins_with_three_quarters_of_the_swings_and_ends_with_half(
     assert touches.note is None
 
 
-@pytest.mark.parametrize("share", [0.2, 0.4, 0.8])
-def test_a_leg_that_only_comes_down_differently_is_ambiguous(
-    robot: Robot, baseline: Baseline, share: float
-) -> None:
-    """No lift shows it, each descent looks like a touch, and its owner has to be told."""
-    changed = range(60, 130)
-    run = FakeLeg(seed=5).run(170, falling=lambda n: share if n in changed else 1.0)
-    status, notes, _ = followed(ContactLearner(robot, "rf", baseline), samples(*run[:3]))
-    assert set(status[:80]) == {"valid"}
-    assert set(status[92:129]) == {"ambiguous"}
-    assert notes[100] is not None
-    assert "a change that only descents show" in notes[100]
-    assert set(status[150:]) == {"valid"}
-    assert notes[-1] is None
-
-
 @pytest.mark.parametrize("tick", [16, 18, 20])
 def test_swings_that_all_end_in_a_touch_are_no_such_change(
     robot: Robot, baseline: Baseline, tick: int

@@ -14,7 +14,6 @@ from adaptive_contact import ContactEvent, LearnerBank, ServoSample
 from adaptive_contact.checks.conventions.judge import Verdict, judge_hanging, judge_motion
 from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.model import shipped_baseline
-from adaptive_contact.notes import speaks_of_angles
 from adaptive_contact.robot import Angles, Mount, Robot, shipped_robot
 from adaptive_contact_sim import PoseSettings, SimulationSettings, TerrainSettings, WalkSettings
 from adaptive_contact_sim.arrays import Run, record_arrays
@@ -222,32 +221,6 @@ def play(
         notes += [str(bank.learner(event.leg).status.note) for event in events[len(notes) :]]
         bank.finish()
     return bank, events, notes
-
-
-@pytest.mark.parametrize(
-    ("turn", "words"),
-    [
-        (
-            turned_down,
-            (
-                "femur and tibia grow the wrong way",
-                "write [leg.angles] directions = [1, -1, -1]",
-                "where the bridge reads this leg, write [leg.servos] directions = [",
-            ),
-        ),
-        (lambda q: q[:, ::-1], ("they seem to come as tibia, femur, coxa",)),
-    ],
-)
-def test_a_learner_reports_what_to_write_and_no_contacts_from_then_on(
-    turn: Turn, words: tuple[str, ...]
-) -> None:
-    bank, events, notes = play(samples(walk("tripod", "rough", 901), turn))
-    for leg in LEGS:
-        status = bank.learner(leg).status
-        assert (status.status, status.contact) == ("ambiguous", False)
-        assert [word for word in words if word not in status.note] == []
-        assert speaks_of_angles(status.note)
-    assert not any(e.contact and words[0] in note for e, note in zip(events, notes, strict=True))
 
 
 def test_a_zero_that_is_little_off_is_noted_and_the_leg_works_on() -> None:

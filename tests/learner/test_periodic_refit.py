@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -173,40 +174,34 @@ def asked(robot: Robot, result: RefitResult) -> tuple[PeriodicRefit, list[RefitJ
     return own, jobs
 
 
-def test_a_slope_by_which_the_rows_are_much_likelier_is_promoted(
-    robot: Robot, start: LegBaseline
-) -> None:
-    own, jobs = asked(robot, RefitResult(1, FitStatus.OK, 0.0656, 100.0, start=start))
-    assert len(jobs[0].values) == 720
-    assert answer(own) is start
-    assert (own.counts.promoted, own.counts.refused) == (1, 0)
-    assert own.counts.last_reason == ("promoted: a slope of 0.0656 rad fits better by 100 nats")
-
-
-def test_a_noise_of_the_prior_that_is_too_small_is_replaced(
-    robot: Robot, start: LegBaseline
-) -> None:
-    own, _ = asked(robot, RefitResult(1, FitStatus.OK, 0.0656, 39.0, 16.0, start))
-    assert answer(own) is start
-    assert own.counts.last_reason == "promoted: errors are 4.0 times those that were expected"
-
-
 @pytest.mark.parametrize(
     ("result", "why"),
     [
-        (RefitResult(1, FitStatus.OK, SLOPE), "no slope fits better than 0.164 rad"),
+        (
+            RefitResult(1, FitStatus.OK, 0.0656, 100.0),
+            "promoted: a slope of 0.0656 rad fits better by 100 nats",
+        ),
+        (
+            RefitResult(1, FitStatus.OK, 0.0656, 39.0, 16.0),
+            "promoted: errors are 4.0 times those that were expected",
+        ),
+        (RefitResult(1, FitStatus.OK, SLOPE), "refused: no slope fits better than 0.164 rad"),
         (
             RefitResult(1, FitStatus.OK, 0.0656, 39.0),
-            "a slope of 0.0656 rad fits hardly better (39 nats)",
+            "refused: a slope of 0.0656 rad fits hardly better (39 nats)",
         ),
-        (RefitResult(1, FitStatus.NOT_FINITE), "the fit ended with 'not_finite'"),
+        (RefitResult(1, FitStatus.NOT_FINITE), "refused: the fit ended with 'not_finite'"),
     ],
 )
-def test_what_is_dropped(robot: Robot, result: RefitResult, why: str) -> None:
-    own, _ = asked(robot, result)
-    assert answer(own) is None
-    assert own.counts.refused == 1
-    assert own.counts.last_reason == f"refused: {why}"
+def test_what_is_much_likelier_is_promoted_and_all_else_refused(
+    robot: Robot, start: LegBaseline, result: RefitResult, why: str
+) -> None:
+    promoted = why.startswith("promoted")
+    own, jobs = asked(robot, dataclasses.replace(result, start=start if promoted else None))
+    assert len(jobs[0].values) == 720
+    assert answer(own) is (start if promoted else None)
+    assert (own.counts.promoted, own.counts.refused) == (promoted, not promoted)
+    assert own.counts.last_reason == why
 
 
 def test_a_leg_that_changes_drops_its_refit_and_asks_at_once(
@@ -287,28 +282,27 @@ def test_a_leg_noisier_than_any_that_is_known_becomes_valid_and_outlives_a_resta
         assert of.status.status == "valid"
 
 
-def test_a_saved_noise_that_is_none_is_refused(misdescribed: Robot) -> None:
+@pytest.fixture(scope="module")
+def saved(misdescribed: Robot) -> dict[str, Any]:
+    """Of a leg that goes on from a slope that was found."""
     learner = ContactLearner(misdescribed, "rf")
     play(learner, FakeLeg(seed=3).stream(150))
-    saved = learner.snapshot()
-    found = saved["found"]
-    assert isinstance(found, dict)
-    again = ContactLearner(misdescribed, "rf")
-    for noise in ([], [0.01], [0.01, -1.0, 0.01], [0.01, float("inf"), 0.01], "none"):
-        saved["found"] = {**found, "noise_rad": noise}
-        assert "its noise is" in (again.restore(saved) or "")
-    saved["found"] = {name: of for name, of in found.items() if name != "noise_rad"}
-    assert again.restore(saved) is None  # of a version that did not save it
+    return learner.snapshot()
 
 
-@pytest.mark.parametrize("slope", [None, "0.1", float("nan"), 1e-6, 40.0])
-def test_a_saved_slope_that_no_servo_has_is_refused(misdescribed: Robot, slope: object) -> None:
-    learner = ContactLearner(misdescribed, "rf")
-    play(learner, FakeLeg(seed=3).stream(12))
-    saved = {**learner.snapshot(), "found": {"slope_rad": slope, "first": None}}
+@pytest.mark.parametrize(
+    ("found", "line"),
+    [
+        *(({"noise_rad": noise}, "its noise is") for noise in ([], [0.01], "none")),
+        *(({"noise_rad": [0.01, x, 0.01]}, "its noise is") for x in (-1.0, float("inf"))),
+        *(({"slope_rad": x}, "its slope is") for x in (None, "0.1", float("nan"), 1e-6, 40.0)),
+    ],
+)
+def test_a_saved_slope_or_noise_that_no_servo_has_is_refused(
+    misdescribed: Robot, saved: dict[str, Any], found: dict[str, object], line: str
+) -> None:
     again = ContactLearner(misdescribed, "rf")
-    assert "its slope is" in (again.restore(saved) or "")
+    assert line in (again.restore({**saved, "found": {**saved["found"], **found}}) or "")
     assert again.status.model_version == 0
-
-
-# -- A learner whose fitting process is killed in the middle of every fit
+    known = {name: of for name, of in saved["found"].items() if name != "noise_rad"}
+    assert again.restore({**saved, "found": known}) is None  # of a version that did not save it

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from importlib import resources
-
 import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact import ContactLearner, ServoSample, load_baseline, load_robot
+from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.compiled import records
 from adaptive_contact.core.detect import layout
 from adaptive_contact.core.detect.contact import (
@@ -24,7 +22,6 @@ from adaptive_contact.core.detect.swing_judge import LANDINGS, Landings
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.noise import AFTER, DESCENT
 from adaptive_contact.robot import Robot
-from adaptive_contact_sim import Simulation, SimulationSettings, TerrainSettings, WalkSettings
 
 from .conftest import FakeLeg, play, samples
 
@@ -212,25 +209,6 @@ def test_a_leg_that_loses_its_way_in_the_same_tick_of_each_lift_strikes_nothing(
 
     assert [reported(tick) for tick in (6, 6, 5, 6)] == [True, False, False, False]
     assert [reported(tick) for tick in (11, 11, 6)] == [True, False, True]
-
-
-def test_contacts_of_a_leg_that_stands_before_a_step_are_reported() -> None:
-    """Its lifts strike the step after some millimetres: 10 and more contacts, all of them true."""
-    settings = SimulationSettings(
-        motion=WalkSettings(), terrain=TerrainSettings(kind="steps", relief_m=0.07), seed=11
-    )
-    shipped = resources.files("adaptive_contact_models").joinpath("hexapod")
-    with resources.as_file(shipped) as folder:
-        robot = load_robot(folder / "robot.toml")
-        learner = ContactLearner(robot, "lf", load_baseline(folder / "baseline.json"))
-    held = []
-    for tick in Simulation(settings).run(45.0):
-        event = learner.update(tick.samples["lf"])
-        if event is not None and event.doubt == "held" and event.score > 1.0:
-            held.append(event)
-    reported = sum(event.contact for event in held)
-    assert reported >= 10
-    assert reported >= 0.6 * len(held)
 
 
 # -- A push too weak for any window is a contact where it lasts, of a leg whose touches are known

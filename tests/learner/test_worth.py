@@ -7,7 +7,7 @@ import numpy as np
 from adaptive_contact.fit.train import Stretch
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.worth import STOPS_S, part, worth
+from adaptive_contact.service.worth import part, worth
 
 from .conftest import FakeLeg
 
@@ -47,7 +47,3 @@ def test_legs_that_were_not_tried_are_left_out(robot: Robot, baseline: Baseline)
     whole = stretch()
     stands = part(whole, 24, 28)
     assert worth(robot, baseline, {"rf": [stands], "lf": [whole]}) == {}
-
-
-def test_stops_have_the_lengths_that_the_pages_name() -> None:
-    assert STOPS_S == (0.06, 0.2)
