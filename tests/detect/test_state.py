@@ -16,7 +16,7 @@ from adaptive_contact.core.detect.state import follow_load, hangs
 from adaptive_contact.core.detect.touch_point import locate
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import DetectorSettings, Robot, inverse
-from adaptive_contact.wire import ContactEvent, LegState, ServoSample
+from adaptive_contact.wire import ContactEvent, LegState
 from adaptive_contact_sim import (
     PoseSettings,
     SimulationSettings,
@@ -92,17 +92,6 @@ def test_a_foot_that_is_lifted_is_released_within_three_ticks(walk: Walked) -> N
                 late.append(next(n for n in range(50) if not own[k + n].contact))
     assert len(late) >= 10
     assert np.median(late) <= 3
-
-
-def test_an_event_has_the_p_of_its_tick(walk: Walked) -> None:
-    _, states, events = walk
-    compared = 0
-    for leg, own in states.items():
-        of = {state.seq: state.p for state in own}
-        for event in events[leg]:
-            assert event.p == of[event.seq]
-            compared += event.p is not None
-    assert compared >= 10
 
 
 def test_an_event_says_where_the_foot_is_as_sure_as_it_is(walk: Walked) -> None:
@@ -196,21 +185,3 @@ def test_a_stiff_drive_carries_where_each_stance_goes_on_pushing(
     leg = Loaded()
     assert leg.carries([2.0] * len(sums), sums) is carries
     assert bool(leg.of.slight) is carries
-
-
-def test_a_new_source_has_to_stand_first(walk: Walked) -> None:
-    learner = ContactLearner(HEXAPOD, "lf", shipped_baseline(HEXAPOD.name))
-    samples = samples_of(walk[0], "lf")
-    for sample in samples:
-        learner.update(sample)
-    assert learner.state.known
-    last = samples[-1]
-    learner.update(
-        ServoSample(
-            t_ns=last.t_ns + 20_000_000, seq=0, run=9, measured=last.measured,
-            desired=last.desired, phase="stance",
-        )
-    )  # fmt: skip
-    assert learner.state == LegState(
-        t_ns=last.t_ns + 20_000_000, seq=0, contact=False, p=None, known=False
-    )

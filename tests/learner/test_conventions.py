@@ -246,18 +246,6 @@ def test_with_what_it_advises_every_event_is_that_of_the_right_source() -> None:
     assert told[0] == told[1]
 
 
-def test_stamps_that_jitter_hide_no_wrong_sign() -> None:
-    run = walk("tripod", "rough", 901)
-    seq = np.arange(len(run.t_ns))
-    t_ns = run.t_ns + np.random.default_rng(5).normal(0.0, 8e6, len(seq)).astype(np.int64)
-    motions = {
-        name: LegMotion(t_ns, leg.measured * DOWN, leg.desired * DOWN, leg.swing.copy(), seq)
-        for name, leg in run.legs.items()
-    }
-    clean = verdict_of(run, dict.fromkeys(LEGS, turned_down), phase=True, mounts=True)
-    assert judge_motion(robot(mounts=True), motions) == clean
-
-
 @functools.cache
 def quadruped(name: str) -> Mapping[str, LegMotion]:
     """The quadruped on its stand: its legs swing, and meet plates."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -59,19 +57,3 @@ def test_friction_heard_in_lifts_is_predicted_in_descents(known: LegBaseline, kn
     assert rms(off) > 4.0
     # Between the knees there is none of its own; what the leg errs anyway is one.
     assert rms(left) < 1.6
-
-
-def test_a_softer_servo_heard_in_lifts_is_predicted_in_descents(known: LegBaseline) -> None:
-    measured, desired, _, _ = FakeLeg(seed=42).run(30)
-    library = known.model.library
-    cut = stack(measured, desired, library.window)
-    softer = dataclasses.replace(library, slope_rad=1.7 * library.slope_rad)
-    law = np.array([name.startswith("sat(") for name in library.names])
-    theta, soft = (
-        one.evaluate(cut.measured, cut.desired, cut.preview) for one in (library, softer)
-    )
-    change = np.where(law, soft - theta, 0.0) @ known.model.coefficients
-    for joint in range(3):
-        off, left = heard_in_lifts(known, cut._replace(increment=cut.increment + change), joint)
-        assert rms(off) > 2.0
-        assert rms(left) < 0.6 * rms(off)

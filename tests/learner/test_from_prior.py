@@ -103,20 +103,6 @@ def test_a_leg_that_no_prior_fits_gets_a_wider_one(robot: Robot) -> None:
     np.testing.assert_array_equal(last, nine)
 
 
-def test_a_baseline_that_is_not_the_leg_s_is_followed_by_the_prior(
-    robot: Robot, baseline: Baseline
-) -> None:
-    life = started(robot, baseline)
-    life.forget()
-    np.testing.assert_allclose(spread_of(life), spread_of(started(robot)), rtol=1e-9)
-    assert life.note_now == (
-        "the baseline does not fit this leg: learning a new model (0 of 10 swings)"
-    )
-    again = started(robot, baseline)
-    assert again.restore(life.snapshot()) is None
-    assert again.note_now == life.note_now
-
-
 @pytest.mark.parametrize("widening", ["3", None, -1.0, float("nan"), 1e9, [3.0]])
 def test_a_widening_that_is_none_leaves_a_leg_that_works(robot: Robot, widening: object) -> None:
     life = started(robot)

@@ -14,7 +14,6 @@ import pytest
 from adaptive_contact import ContactLearner
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import shipped_robot
-from adaptive_contact.wire import Reject, ServoSample
 
 from .conftest import FakeLeg, play
 
@@ -79,21 +78,6 @@ def test_what_another_baseline_was_followed_from_is_refused(
     assert "another baseline" in str(bare.restore(saved))
     play(bare, FakeLeg(seed=3).stream(8))
     assert "another baseline" in str(learner(robot).restore(bare.snapshot()))
-
-
-def test_without_a_model_counts_and_publishers_are_kept(robot: Any) -> None:
-    bare, again = ContactLearner(robot, "rf"), ContactLearner(robot, "rf")
-    sample = ServoSample(t_ns=1, seq=5, run=7, measured=[0.0] * 3, desired=[0.0] * 3)
-    bare.update(sample)
-    bare.update(msgspec.structs.replace(sample, t_ns=2, seq=9, run=8))
-    bare.update(msgspec.structs.replace(sample, t_ns=3, seq=12, run=8))
-    bare.count(Reject.MALFORMED, 3)
-    assert again.restore(from_file(bare)) is None
-    assert again.status.status == "learning"
-    assert (again.status.ticks, again.status.missed) == (3, 2)
-    assert again.status.rejects == {"malformed": 3}
-    again.update(sample)
-    assert again.status.rejects["other_publisher"] == 1, "the newer one still wins"
 
 
 def test_a_leg_of_an_older_version_without_a_baseline_begins_anew(robot: Any) -> None:

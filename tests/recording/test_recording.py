@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import gzip
 import os
 import resource
@@ -291,19 +290,6 @@ def test_what_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="already closed"):
         writer.write("k", b"", MSGPACK, 0)
     assert list(read_recording(path)) == []
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_is_one_line() -> None:
-    def fill() -> None:
-        with RecordingWriter("/dev/full") as writer:
-            for k in range(1000):
-                writer.write("k", b"x" * 100, MSGPACK, k * TICK)
-
-    with pytest.raises(RecordingError, match="cannot be written") as caught:
-        fill()
-    assert isinstance(caught.value.__cause__, OSError)
-    assert caught.value.__cause__.errno == errno.ENOSPC
 
 
 def test_an_error_in_the_block_still_leaves_a_whole_file(tmp_path: Path) -> None:

@@ -50,23 +50,6 @@ def step(router: Link, lockstep: Callable[..., Any]) -> Any:
     return lockstep(router)
 
 
-def test_contacts_and_releases_come_out(step: Any, inbox: Any, sample: Sample) -> None:
-    got = inbox(ContactEvent).subscribe(step.client, ALL_CONTACT, history=True)
-    step.settle()
-    step.work(1, lf=sample(1), rf=sample(1))
-    step.work(2, lf=sample(2, contact=True), rf=sample(2))
-    step.work(3, lf=sample(3), rf=sample(3, contact=True))
-    events = got.wait(3)
-    assert sorted((e.leg, e.contact, e.seq) for e in events) == [
-        ("lf", False, 3),
-        ("lf", True, 2),
-        ("rf", True, 3),
-    ]
-    figures = step.service.status(4)
-    assert (figures.samples, figures.events) == (6, 3)
-    assert figures.event_latency is not None
-
-
 def test_states_are_published_while_somebody_subscribes(
     step: Any, inbox: Any, sample: Sample
 ) -> None:

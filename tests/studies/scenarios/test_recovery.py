@@ -98,26 +98,6 @@ def test_changes_are_taken_for_what_they_are(steps: dict[str, Judgement]) -> Non
     assert sum(kind == truth for kind, truth in told) >= 0.9 * len(told)
 
 
-@pytest.mark.slow
-def test_contacts_only_neither_blind_it_nor_are_learned(folder: Path) -> None:
-    # Long enough for one learned tick in a thousand to be more than none.
-    judgement = judged("contacts-level", folder, replace(SIZES, contact_swings=200))
-    contacts = judgement.scenario.phase("contacts")
-    for frozen, full in zip(*judgement.variants.values(), strict=True):
-        figures, without = (
-            summarise([within(one.outcome, contacts.from_s, contacts.to_s)])
-            for one in (full, frozen)
-        )
-        assert figures.counted.touches >= 100
-        # Of edges that are only grazed, the model that does not learn misses some, too.
-        assert figures.counted.found >= without.counted.found - 1
-        headline = figures.rows["headline"]
-        assert headline.found >= headline.touches - 1 > 80
-        assert figures.false_alarms <= 1
-        assert full.replay.confirmed > 1000
-        assert full.replay.touched <= 0.001 * full.replay.confirmed
-
-
 def test_a_foot_that_trails_too_much_is_ambiguous_and_the_leg_is_well_again_after_it() -> None:
     """A lasting contact that looks like a lasting change: 6 N against a servo leg's motion."""
     sizes = replace(SIZES, leg_runs=2)
