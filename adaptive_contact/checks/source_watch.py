@@ -58,10 +58,11 @@ TWIN_TICKS: Final = 40
 TWIN_STEPS: Final = 10.0
 # Deviations above this, root mean square in periods, are worth a line to a person.
 NOTED_JITTER: Final = 0.15
-_JITTER_CAUSES: Final[dict[bool | None, str]] = {
-    None: "whether the readings are late, too, is not known yet",
-    False: "the readings are on time, and ticks are counted by seq",
-    True: "the readings are late, too, and are moved to their ticks",
+# By a leg's ``late``.
+_JITTER_CAUSES: Final = {
+    -1: "whether the readings are late, too, is not known yet",
+    0: "the readings are on time, and ticks are counted by seq",
+    1: "the readings are late, too, and are moved to their ticks",
 }
 
 
@@ -221,38 +222,12 @@ class RateWatch:
         return cls(place.leg.period_ns, place)
 
     @property
-    def off(self) -> bool:
-        """Whether the mean rate is another than described."""
-        return bool(self.leg.rate_off)
-
-    @property
-    def rate_ticks(self) -> int:
-        """Ticks by which the rate is judged."""
-        return int(self.leg.rate_ticks)
-
-    @property
-    def found_ns(self) -> float | None:
-        """Mean distance of ticks, None while that is unknown."""
-        found = self.leg.found_ns
-        return None if math.isnan(found) else found
-
-    @property
-    def at_ns(self) -> int:
-        """Time of the newest tick, by the schedule that follows the stamps."""
-        return int(self.leg.at_ns)
-
-    @property
-    def late(self) -> bool | None:
-        """Whether readings are as late as their stamps; None while that is not known."""
-        return (None, False, True)[self.leg.late + 1]
-
-    @property
     def since_ns(self) -> int:
         """Scheduled time of the oldest tick by which the rate is judged."""
         count = self.leg.ring_n
         if not count:
             return 0
-        return int(self._ring[(count - min(self.rate_ticks, count, RING)) % RING, 2])
+        return int(self._ring[(count - min(int(self.leg.rate_ticks), count, RING)) % RING, 2])
 
     @property
     def burst(self) -> int:
@@ -266,18 +241,12 @@ class RateWatch:
         return math.sqrt(max(leg.jitter_square - leg.jitter_mean**2, 0.0))
 
     @property
-    def jitter_ms(self) -> float:
-        """The same, ms."""
-        return float(self.jitter * self.leg.period_ns / 1e6)
-
-    @property
     def note(self) -> str | None:
         """One line for the operator while the rate is off, or stamps are far off their schedule."""
-        period_ms = self.leg.period_ns / 1e6
-        found_ns = self.found_ns
-        if self.off and found_ns is not None:
+        leg, period_ms = self.leg, self.leg.period_ns / 1e6
+        if leg.rate_off and not math.isnan(leg.found_ns):
             return (
-                f"samples are {found_ns / 1e6:.1f} ms apart, robot.toml says "
+                f"samples are {leg.found_ns / 1e6:.1f} ms apart, robot.toml says "
                 f"{period_ms:.1f} ms: nothing is judged or learned until they agree"
             )
         if self.burst:
@@ -285,12 +254,11 @@ class RateWatch:
                 f"{self.burst} ticks arrive together, stamped on arrival: they are counted by seq; "
                 "stamp each reading when it is read, and send it then"
             )
-        jitter = self.jitter
-        if jitter <= NOTED_JITTER:
+        if self.jitter <= NOTED_JITTER:
             return None
         return (
-            f"t_ns jitters: {jitter * period_ms:.1f} ms (rms) off an even grid of "
-            f"{period_ms:.1f} ms; {_JITTER_CAUSES[self.late]}"
+            f"t_ns jitters: {self.jitter * period_ms:.1f} ms (rms) off an even grid of "
+            f"{period_ms:.1f} ms; {_JITTER_CAUSES[int(leg.late)]}"
         )
 
     def follow(self, t_ns: int, seq: int, *, restart: bool) -> int | None:

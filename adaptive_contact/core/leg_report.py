@@ -198,7 +198,7 @@ class LegReport:
             swings=counts["swings"],
             swings_withheld=counts["swings withheld"],
             doubt=self.doubt,
-            jitter_ms=self.rate.jitter_ms,
+            jitter_ms=self.rate.jitter * self.rate.leg.period_ns / 1e6,
             untouched=leg.untouched,
             untouched_ns=None if untouched_ns < 0 else untouched_ns,
             note=self._note(),

@@ -96,11 +96,11 @@ class LegGatherer:
             self._runs.append(_Run([], [[]]))
         run = self._runs[-1]
         run.t_ns.append(sample.t_ns)
-        if self._rate.off:
+        if self._rate.leg.rate_off:
             self.off_rate += 1
             # The ticks that showed the wrong rate are as far off as those that came after.
             if run.stretches[-1]:
-                del run.stretches[-1][1 - self._rate.rate_ticks :]
+                del run.stretches[-1][1 - int(self._rate.leg.rate_ticks) :]
                 run.stretches.append([])
             return
         if missed != 0:  # None after a pause

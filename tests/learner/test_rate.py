@@ -43,13 +43,13 @@ def test_ticks_of_a_burst_are_counted_by_their_numbers(
         late = 50 * STEP if k >= pause else 0
         t_ns = arrived[k // ticks] + k % ticks * 300_000 + late
         missed.append(rate.follow(t_ns, k, restart=k == first))
-        at.append(rate.at_ns)
+        at.append(rate.leg.at_ns)
     settled = 3 * ticks - first
     others = [m for k, m in enumerate(missed) if k >= settled and k != pause - first]
     assert missed[pause - first] is None
     assert set(others) == {0}
     assert rate.burst == ticks
-    assert not rate.off
+    assert not rate.leg.rate_off
     steps = np.diff(at[settled : pause - first])
     assert np.abs(steps / STEP - 1.0).max() < 0.15
 
@@ -75,7 +75,7 @@ def observe(rate: RateWatch, ticks: int = 60) -> None:
             moved_by = stretch if rate.leg.late == 1 else 0.0
             shown = (stretch - moved_by) * moved + rng.normal(size=2) * 0.004
             vote_late(leg, shown, moved, sigma)
-    assert rate.late
+    assert rate.leg.late == 1
 
 
 @given(st.sampled_from([0.1, 0.4]), st.floats(-0.25, 0.25), st.integers(0, 20))
@@ -91,7 +91,7 @@ def test_of_stamps_that_jitter_the_mean_tells_the_rate(
     off = []
     for k, stamp in enumerate(t_ns.astype(int).tolist()):
         assert rate.follow(stamp, k, restart=k == 0) == 0
-        off.append(rate.off)
+        off.append(bool(rate.leg.rate_off))
     if abs(wrong) < 0.10:
         assert not any(off)
         assert rate.jitter == pytest.approx(sigma, rel=0.35)
@@ -111,12 +111,12 @@ def test_delays_that_add_up_are_no_other_rate_for_a_moment(share: float, delay: 
     for k, t_ns in enumerate(stamps):
         rate.leg.late = 1  # by its readings
         assert rate.follow(t_ns, k, restart=k == 0) is not None
-        off.append(rate.off)
+        off.append(bool(rate.leg.rate_off))
     assert not any(off)
     # One that is too slow in the mean is, within two seconds.
     for k in range(101):
         rate.follow(stamps[-1] + (k + 1) * round(1.2 * STEP), 5000 + k, restart=False)
-    assert rate.off
+    assert rate.leg.rate_off
 
 
 @given(st.lists(st.floats(-0.45, 0.45), min_size=50, max_size=200))
@@ -126,6 +126,6 @@ def test_the_schedule_follows_the_stamps_and_never_runs_back(off: list[float]) -
     for k, by in enumerate(off):
         assert rate.follow(round((k + 1 + by) * STEP), k, restart=k == 0) == 0
         if k:
-            assert 0.8 * STEP < rate.at_ns - before < 1.2 * STEP
-        before = rate.at_ns
-        assert abs(rate.at_ns - (k + 1) * STEP) <= 0.45 * STEP + 2
+            assert 0.8 * STEP < rate.leg.at_ns - before < 1.2 * STEP
+        before = rate.leg.at_ns
+        assert abs(rate.leg.at_ns - (k + 1) * STEP) <= 0.45 * STEP + 2

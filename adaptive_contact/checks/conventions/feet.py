@@ -23,7 +23,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from adaptive_contact.arrays import Array, Ints
+from adaptive_contact.arrays import Array, Ints, scipy
 from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.robot.description import Leg
 
@@ -62,8 +62,10 @@ HOLD_S: Final = 0.36
 MOST_FLIPS: Final = 5
 # Errors of rows are not independent: their mean square is as sure as that of so many.
 SWINGS: Final = 30
-_NUDGE_RAD: Final = 1e-3
-_DAMPING, _MOST_DAMPING = 1e-4, 1e2
+# A fit of zeros ends where they move by less, rad; steps of a fit, and choices of its rows.
+NEAR_RAD: Final = 2e-3
+MOST_STEPS: Final = 4
+ROUNDS: Final = 5
 # Ways to read a leg, and pairs of legs, whose feet are remembered.
 _PLACES, _PAIRS = 256, 8192
 
@@ -328,7 +330,7 @@ def _squared(vectors: Array) -> Array:
 def refine(
     feet: Feet, readings: Sequence[Reading], moved: Sequence[Sequence[int]]
 ) -> tuple[list[Reading], float]:
-    """Find the zeros near a start for which the feet are most rigid, by Gauss-Newton.
+    """Find the zeros near a start for which the feet are most rigid, by least trimmed squares.
 
     Args:
         feet: that stand, by one stance of each leg.
@@ -340,31 +342,22 @@ def refine(
         The readings, and the largest standard deviation of a parameter, rad: where the motion does
         not show a zero, as that of feet that go to and fro in a line, it is large.
     """
-    count = 1 + max(max(own) for own in moved)
+    x = np.zeros(1 + max(max(own) for own in moved))
 
     def at(x: Array) -> list[Reading]:
         padded = np.append(x, 0.0)
         return [r.shifted(padded[list(own)]) for r, own in zip(readings, moved, strict=True)]
 
-    def cost(x: Array) -> float:
-        read = at(x)
-        return float(np.square(feet.errors(read, feet.kept(read))).sum())
-
-    x, damping = np.zeros(count), _DAMPING
-    for _ in range(12):
+    # The rows that are left out follow the zeros, and these the rows.
+    for _ in range(ROUNDS):
         kept = feet.kept(at(x))
-        base = feet.errors(at(x), kept)
-        slopes = [feet.errors(at(x + nudge), kept) - base for nudge in _NUDGE_RAD * np.eye(count)]
-        jacobian = np.stack(slopes, axis=1) / _NUDGE_RAD
-        normal = jacobian.T @ jacobian
-        scale = damping * (np.trace(normal) / count + _DAMPING)
-        step = -np.linalg.solve(normal + scale * np.eye(count), jacobian.T @ base)
-        better = cost(x + step) < cost(x)
-        damping *= 0.1 if better else 10.0
-        if better:
-            x = x + step
-        if (better and np.abs(step).max() < 1e-3) or damping > _MOST_DAMPING:
+        fit = scipy.optimize.least_squares(
+            lambda x, kept=kept: feet.errors(at(x), kept), x, xtol=NEAR_RAD, max_nfev=MOST_STEPS
+        )
+        settled, x = np.abs(fit.x - x).max() < NEAR_RAD, fit.x
+        if settled:
             break
-    weakest = float(np.linalg.eigvalsh(normal)[0])
-    floor = max(cost(x), FLOOR**2) / SWINGS
+    weakest = float(np.linalg.eigvalsh(fit.jac.T @ fit.jac)[0])
+    left = float(np.square(feet.errors(at(x), feet.kept(at(x)))).sum())
+    floor = max(left, FLOOR**2) / SWINGS
     return at(x), math.sqrt(floor / weakest) if weakest > 0 else math.inf
