@@ -174,18 +174,13 @@ def doubled(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
 # -- readings --------------------------------------------------------------------------------------
 
 
-def misread(share: float, change: Callable[[float, np.random.Generator], float]) -> Mistake:
-    """A share of readings, each by itself, that are something else."""
+def raw_zeros(share: float = 0.005, value: float = math.radians(-150.0)) -> Mistake:
+    """Failed reads of a share of readings, each by itself, that leave raw step 0 behind."""
     return each_sample(
         lambda sent, rng: sent.but(
-            measured=[change(x, rng) if rng.random() < share else x for x in sent.body["measured"]]
+            measured=[value if rng.random() < share else x for x in sent.body["measured"]]
         )
     )
-
-
-def raw_zeros(share: float = 0.005, value: float = math.radians(-150.0)) -> Mistake:
-    """Failed reads that leave raw step 0 behind."""
-    return misread(share, lambda *_: value)
 
 
 def encoder_seam(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:

@@ -35,10 +35,6 @@ def aside(robot: Robot, yaw_rad: float = 0.7) -> Robot:
     return msgspec.structs.replace(robot, legs=(leg,))
 
 
-def without_phase(stream: list[ServoSample]) -> list[ServoSample]:
-    return [msgspec.structs.replace(one, phase=None) for one in stream]
-
-
 def renamed(baseline: Baseline, leg: Leg) -> Baseline:
     """The baseline of the same leg as its other description names it."""
     text = dump_baseline(baseline)
@@ -52,7 +48,7 @@ def renamed(baseline: Baseline, leg: Leg) -> Baseline:
 def test_a_turned_frame_changes_no_event(robot: Robot, baseline: Baseline) -> None:
     """Phase, foot, gradient and gravity go the general way, and all comes out the same."""
     touched = FakeLeg(seed=5).run(60, touch=lambda n: 18 if n % 3 == 0 else None)
-    stream = without_phase(samples(*touched[:3]))
+    stream = [msgspec.structs.replace(one, phase=None) for one in samples(*touched[:3])]
     other = aside(robot)
     learners = (
         # Both from a file, which has fewer digits.

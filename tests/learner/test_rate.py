@@ -99,26 +99,6 @@ def test_of_stamps_that_jitter_the_mean_tells_the_rate(
         assert np.mean(off[150:]) > 0.95
 
 
-@pytest.mark.parametrize(("share", "delay"), [(0.25, 0.25), (0.1, 0.5), (0.5, 0.12)])
-def test_delays_that_add_up_are_no_other_rate_for_a_moment(share: float, delay: float) -> None:
-    """A loop that sleeps a period after each tick: only the mean of many steps is its rate."""
-    rng = np.random.default_rng(3)
-    rate = RateWatch(STEP)
-    observe(rate)
-    steps = 1.0 + delay * (rng.random(5000) < share)
-    stamps = np.round(np.cumsum(steps) * STEP).astype(int).tolist()
-    off = []
-    for k, t_ns in enumerate(stamps):
-        rate.leg.late = 1  # by its readings
-        assert rate.follow(t_ns, k, restart=k == 0) is not None
-        off.append(bool(rate.leg.rate_off))
-    assert not any(off)
-    # One that is too slow in the mean is, within two seconds.
-    for k in range(101):
-        rate.follow(stamps[-1] + (k + 1) * round(1.2 * STEP), 5000 + k, restart=False)
-    assert rate.leg.rate_off
-
-
 @given(st.lists(st.floats(-0.45, 0.45), min_size=50, max_size=200))
 def test_the_schedule_follows_the_stamps_and_never_runs_back(off: list[float]) -> None:
     rate = RateWatch(STEP)

@@ -101,20 +101,6 @@ def test_a_superseded_publisher_that_floods_takes_nothing_back(times: int) -> No
     assert alone[-1] == Accepted(0, False)
 
 
-def test_restarts_are_counted_and_outlive_ours() -> None:
-    """The first sample does not count; a source may go on while the service is away."""
-    guard = StreamGuard(2)
-    feed(guard, *(sample(seq, run=1) for seq in range(5)))
-    counted = [guard.restarts]
-    guard.admit(sample(0, run=2))
-    for after in (sample(1, run=2), sample(0, run=3)):
-        again = StreamGuard(2)
-        again.restore(guard.snapshot())
-        again.admit(after)
-        counted += [guard.restarts, again.restarts]
-    assert counted == [0, 1, 1, 1, 2]
-
-
 def test_a_source_that_is_restarted_now_and_then_is_not() -> None:
     guard = StreamGuard(2)
     for k in range(10 * SHORT_RUN_SAMPLES):

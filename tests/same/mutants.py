@@ -34,19 +34,11 @@ _LAST: Final = ("bad-samples", "cold-start", "lost-samples", "quadruped12", "wal
 
 
 class Mutant(NamedTuple):
-    """A change of one file of the package: what it is, and the new text between two places."""
+    """A change of one file of the package: what it is, and the text of the changed file."""
 
     name: str
     file: str
-    begin: int
-    end: int
-    new: str
-
-    @property
-    def text(self) -> str:
-        """The changed file."""
-        text = (ROOT / PACKAGE / self.file).read_text(encoding="utf-8")
-        return text[: self.begin] + self.new + text[self.end :]
+    text: str
 
     @property
     def compiled(self) -> bool:
@@ -71,8 +63,7 @@ def faults() -> list[Mutant]:
                 f"fault '{fault.name}': found '{fault.old}' {text.count(fault.old)} times in "
                 f"{fault.file}, expected once; adapt this fault in tests/same/faults.py"
             )
-        begin = text.index(fault.old)
-        found.append(Mutant(fault.name, fault.file, begin, begin + len(fault.old), fault.new))
+        found.append(Mutant(fault.name, fault.file, text.replace(fault.old, fault.new)))
     return found
 
 
@@ -80,30 +71,24 @@ def constants() -> list[tuple[Mutant, Mutant]]:
     """All constants at twice and at half their values; whole numbers stay whole."""
     found = []
     for path in sorted(path for room in ROOMS for path in (ROOT / PACKAGE / room).glob("*.py")):
-        text = path.read_text(encoding="utf-8")
-        begins = [0]
-        for line in text.splitlines(keepends=True):
-            begins.append(begins[-1] + len(line))
+        text, file = path.read_text(encoding="utf-8"), str(path.relative_to(ROOT / PACKAGE))
         for node in ast.parse(text).body:
-            of = node.value if isinstance(node, ast.AnnAssign | ast.Assign) else None
-            if of is None or of.end_lineno is None or of.end_col_offset is None:
-                continue
-            name = ast.unparse(node.target if isinstance(node, ast.AnnAssign) else node.targets[0])
+            line = ast.get_source_segment(text, node) or ""
+            name, _, said = line.partition(" = ")
+            name = name.partition(":")[0]
             if not name.strip("_").isupper() or _CODES.fullmatch(name) or path.name == _OF_CODES:
                 continue
-            at = (
-                begins[of.lineno - 1] + of.col_offset,
-                begins[of.end_lineno - 1] + of.end_col_offset,
-            )
             try:
-                value = eval(text[slice(*at)], {"__builtins__": {}})
-            except (NameError, TypeError):  # made of others, and follows them
+                value = eval(said, {"__builtins__": {}})
+            except (NameError, SyntaxError, TypeError):  # made of others, and follows them
                 continue
             parts = value if isinstance(value, tuple) else (value,)
             if all(type(part) in (int, float) for part in parts):
-                file = str(path.relative_to(ROOT / PACKAGE))
                 scaled = (repr(_scaled(value, factor)) for factor in (2.0, 0.5))
-                one, other = (Mutant(f"{name} = {new}", file, *at, new) for new in scaled)
+                one, other = (
+                    Mutant(f"{name} = {new}", file, text.replace(f"\n{line}", f"\n{name} = {new}"))
+                    for new in scaled
+                )
                 found.append((one, other))
     return found
 
@@ -166,7 +151,8 @@ def main(what: str, *, count: str = "30", seed: str = "0", only: str = "") -> in
             m for pair in random.Random(int(seed)).sample(constants(), int(count)) for m in pair
         ]
     drawn = [mutant for mutant in drawn if re.match(only, mutant.name)]
-    unchanged = notice(drawn[0]._replace(end=drawn[0].begin, new=""))
+    own = (ROOT / PACKAGE / drawn[0].file).read_text(encoding="utf-8")
+    unchanged = notice(drawn[0]._replace(text=own))
     if unchanged is not None:
         sys.exit(f"found, with nothing changed: {unchanged}; expected no difference: make test")
     alive = 0

@@ -77,7 +77,7 @@ class Standing:
 def refitter(monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessRefitter]:
     # The worker unpickles jobs of this module, which pytest imports under a name of its own.
     here = Path(__file__)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(here.parent), *map(str, _paths())]))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(here.parent), *filter(None, sys.path)]))
     for kind in (Large, Standing):
         monkeypatch.setattr(kind, "__module__", here.stem)
     monkeypatch.setitem(sys.modules, here.stem, sys.modules[__name__])
@@ -97,10 +97,6 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[subprocess.Popen[bytes]]:
 
     monkeypatch.setattr(refits, "start_process", start)
     return processes
-
-
-def _paths() -> list[str]:
-    return [path for path in sys.path if path]
 
 
 def large(number: int) -> Large:
