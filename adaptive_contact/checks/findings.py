@@ -8,8 +8,10 @@ The words of all faults stand in ``faults.toml``, beside this file.
 from __future__ import annotations
 
 import functools
+import itertools
 import tomllib
-from collections.abc import Iterable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from importlib import resources
 from typing import Any, Final, Literal, NamedTuple, Self, cast
 
@@ -178,22 +180,21 @@ def entries(faults: Iterable[tuple[str | None, Fault]]) -> list[Finding]:
     Returns:
         What is left when consequences are left out and legs are put together.
     """
-    found = list(_weighed(list(faults)))
-    causes: dict[str | None, set[Cause]] = {}
-    for leg, fault in found:
+    together: dict[tuple[Cause, str], list[tuple[str | None, Fault]]] = {}
+    for leg, fault in faults:
+        together.setdefault((fault.cause, fault.key), []).append((leg, fault))
+    groups = [_weighed(group) for group in together.values()]
+    causes: defaultdict[str | None, set[Cause]] = defaultdict(set)
+    for leg, fault in itertools.chain(*groups):
         if fault.level != "note":
-            causes.setdefault(leg, set()).add(fault.cause)
-    whole = causes.get(None, set())
+            causes[leg].add(fault.cause)
 
     def explained(leg: str | None, fault: Fault) -> bool:
-        of_leg = whole if leg is None else whole | causes.get(leg, set())
-        return any(fault.cause in EXPLAINS.get(cause, ()) for cause in of_leg - {fault.cause})
+        others = (causes[None] | causes[leg]) - {fault.cause}
+        return any(fault.cause in EXPLAINS.get(cause, ()) for cause in others)
 
-    together: dict[tuple[Cause, str], list[tuple[str | None, Fault]]] = {}
-    for leg, fault in found:
-        if not explained(leg, fault):
-            together.setdefault((fault.cause, fault.key), []).append((leg, fault))
-    made = [_entry(of_cause) for of_cause in together.values()]
+    left = ([of for of in group if not explained(*of)] for group in groups)
+    made = [_entry(group) for group in left if group]
     # The whole robot first, then what most legs have: a wrong description shows in single legs.
     return sorted(
         made,
@@ -201,18 +202,12 @@ def entries(faults: Iterable[tuple[str | None, Fault]]) -> list[Finding]:
     )
 
 
-def _weighed(
-    faults: Sequence[tuple[str | None, Fault]],
-) -> Iterator[tuple[str | None, Fault]]:
-    """Yield faults, as notes where all legs together have only a few such samples."""
-    alike: dict[tuple[Cause, str], list[Fault]] = {}
-    for _, fault in faults:
-        alike.setdefault((fault.cause, fault.key), []).append(fault)
-    for leg, fault in faults:
-        of = alike[fault.cause, fault.key]
-        total = sum(one.total for one in of)
-        few = total and not many(sum(one.size for one in of), total)
-        yield leg, fault._replace(level="note") if few else fault
+def _weighed(faults: list[tuple[str | None, Fault]]) -> list[tuple[str | None, Fault]]:
+    """Return faults of one cause, as notes where all legs together have only a few such samples."""
+    total = sum(fault.total for _, fault in faults)
+    if not total or many(sum(fault.size for _, fault in faults), total):
+        return faults
+    return [(leg, fault._replace(level="note")) for leg, fault in faults]
 
 
 def _entry(faults: Sequence[tuple[str | None, Fault]]) -> Finding:

@@ -200,7 +200,8 @@ def judge_ids(
         why = "feet that stand keep their distances then, and not as the legs are named"
         others = list(dict.fromkeys(ids[one[i]] for one in orders))[1:]
         if others:
-            why += f"; as likely is {_either(others)}, with all others turned round as well"
+            either = " or ".join(f"'{leg}'" for leg in others)
+            why += f"; as likely is {either}, with all others turned round as well"
         if mirrored:
             why += "; as likely, the yaw angles grow the wrong way"
         placed[ids[i]] = Owner(ids[order[i]], why)
@@ -222,10 +223,6 @@ def _seated(legs: Sequence[Walker]) -> Feet:
         return at.leg.on_body(at.chain.foot(desired))
 
     return Feet(legs, legs[0].lag, [leg.plain for leg in legs], place)
-
-
-def _either(names: Sequence[str]) -> str:
-    return " or ".join(f"'{name}'" for name in names)
 
 
 def judge_recorded_ids(

@@ -152,13 +152,21 @@ class LiveCheck:
         }
         verdict = judge_motion(self._robot, motions)
         wrong = {finding.leg: finding for finding in verdict.findings}
-        faults: list[tuple[str | None, Fault]] = []
         sending = [name for name, leg in self._legs.items() if leg.samples or leg.refused]
         published, known = sorted({*sending, *self._strangers}), self._robot.leg_ids
-        for fault in check_ids(published, known, self._robot.name):
-            faults.append((None, fault))
+        faults: list[tuple[str | None, Fault]] = [
+            (None, fault) for fault in check_ids(published, known, self._robot.name)
+        ]
         for name, leg in self._legs.items():
-            faults += [(name, fault) for fault in leg.faults(seconds)]
+            of_leg = check_leg(
+                name,
+                list(leg.samples),
+                list(leg.refused),
+                seconds=seconds,
+                period_s=self._robot.period_s,
+                facts=LegFacts.of(self._robot, name),
+            )
+            faults += [(name, fault) for fault in of_leg]
             if name in wrong:
                 level: Level = "error" if wrong[name].grave else "warning"
                 faults.append((name, Fault.of("signs", wrong[name].line(leg.leg), level=level)))
@@ -188,8 +196,6 @@ class _LegCheck:
         told = leg.angles or leg.servos or Angles()
         self._signs = told.directions or (1,) * len(leg.joints)
         self._offsets_rad = told.offsets_rad or (0.0,) * len(leg.joints)
-        self._period_s = robot.period_s
-        self._facts = LegFacts.of(robot, leg.id)
         self._count = 0
         # A leg rests when no joint has moved by two steps of an AX-12A for this long, s.
         self._recent: deque[Array] = deque(maxlen=max(round(0.3 / robot.period_s), 2))
@@ -257,16 +263,6 @@ class _LegCheck:
             reach_m=float(np.hypot(place[0], place[1])),
             forward_m=float(body[0]) if known else None,
             left_m=float(body[1]) if known else None,
-        )
-
-    def faults(self, seconds: float) -> list[Fault]:
-        return check_leg(
-            self.leg.id,
-            list(self.samples),
-            list(self.refused),
-            seconds=seconds,
-            period_s=self._period_s,
-            facts=self._facts,
         )
 
     def _rate_hz(self) -> float | None:

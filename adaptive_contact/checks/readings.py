@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final
 
@@ -93,7 +92,7 @@ def check_readings(
     measured, desired = measured[kept], desired[kept]
     if len(measured) < 10:
         return
-    whole = bool((measured == np.round(measured)).all()) and float(np.ptp(measured)) > 2.0
+    whole = (measured == np.round(measured)).all() and np.ptp(measured) > 2.0
     measured, jumps = _without_turns(measured)
     desired, told_jumps = _without_turns(desired)
     units = _units(measured, desired, names, "register steps" if whole else "degrees")
@@ -122,8 +121,10 @@ def check_readings(
         turns = round(float(np.median(measured[:, j] - desired[:, j])) / math.tau)
         if turns:
             measured[:, j] -= turns * math.tau
-        if jumps[j] or told_jumps[j] or turns:
-            yield _turned(name, int(jumps[j] + told_jumps[j]), turns)
+        jumped = int(jumps[j] + told_jumps[j])
+        if jumped or turns:
+            detail = f"{name} jumps {jumped} times" if jumped else f"{name} reads {turns:+d} turns"
+            yield Fault.of("turn", detail, float(jumped + abs(turns)))
     order = _order_of(measured, desired)
     if order is not None:
         moved = [i for i, of in enumerate(order) if of != i]
@@ -140,21 +141,11 @@ def check_readings(
         yield Fault.of("frozen-desired", f"by {by_rad:.2f} rad", by_rad, "desired")
     for j, name in enumerate(names):
         yield from _joint(measured[:, j], desired[:, j], name, begun)
-        if quantum_rad is not None:
-            yield from _steps(grids[j], name, quantum_rad)
+        if quantum_rad and grids[j] and abs(grids[j] / quantum_rad - 1.0) > STEP_TOLERANCE:
+            read = f"{name} steps by {grids[j]:.4g} rad"
+            yield Fault.of("quantum", read, grids[j], quantum_rad=quantum_rad)
     if limits_rad is not None:
         yield from _beyond_limits(measured, names, limits_rad)
-    yield from _beyond_stops(measured, desired, names, step_rad, limits_rad)
-
-
-def _beyond_stops(
-    measured: Array,
-    desired: Array,
-    names: Sequence[str],
-    step_rad: float,
-    limits_rad: Sequence[Sequence[float]] | None,
-) -> Iterator[Fault]:
-    """Name joints whose goals, (n, J) rad, go beyond where their servos stop."""
     none = Limits.none(len(names))
     said = none if limits_rad is None else Limits(*np.array(limits_rad).T)
     ends = find_limits(None, said, none, step_rad, measured, desired)
@@ -179,7 +170,9 @@ def _beyond_limits(
 
 
 def _units(measured: Array, desired: Array, names: Sequence[str], like: str) -> Fault | None:
-    largest = np.maximum(_far_out(measured), _far_out(desired))
+    # The 99th percentile of each joint's absolute angle.
+    far_out = np.quantile(np.abs([measured, desired]), 0.99, axis=1, method="lower")
+    largest = far_out.max(axis=0)
     j = int(np.argmax(largest))
     # An encoder that counts turns may be a few off, both of readings and of commands.
     # No joint of a leg goes beyond a turn; radians do not either.  An encoder that counts turns may
@@ -189,11 +182,6 @@ def _units(measured: Array, desired: Array, names: Sequence[str], like: str) -> 
         return None
     reaches = f"{names[j]} reaches {largest[j]:.4g}"
     return Fault.of("units", reaches, float(largest[j]), like=like)
-
-
-def _far_out(angles: Array) -> Array:
-    """Return the 99th percentile of each joint's absolute angle, (J,) rad."""
-    return np.asarray(np.quantile(np.abs(angles), 0.99, axis=0, method="lower"))
 
 
 def _held(samples: Samples, names: Sequence[str], steps_rad: Sequence[float]) -> Iterator[Fault]:
@@ -217,11 +205,6 @@ def _without_turns(angles: Array) -> tuple[Array, Ints]:
     off = np.cumsum(turns, axis=0)
     whole = angles - math.tau * (off - np.round(np.median(off, axis=0)))
     return whole, np.count_nonzero(turns, axis=0)
-
-
-def _turned(name: str, jumps: int, turns: int) -> Fault:
-    detail = f"{name} jumps {jumps} times" if jumps else f"{name} reads {turns:+d} turns"
-    return Fault.of("turn", detail, float(jumps + abs(turns)))
 
 
 def _begun(desired: Array, rad: float) -> int:
@@ -279,31 +262,11 @@ def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[F
         yield Fault.of("far-still", f"{name} by {off:.2f} rad", off, "still")
     elif off > _FAR_RAD and begun >= _FEWEST_MOVING:
         yield Fault.of("far", f"{name} by {off:.2f} rad in the median", off)
-    glitches, to = _glitches(measured)
-    if glitches:
-        where = "" if to is None else f", to {to:.3f} rad"
-        count = f"{name} {glitches} of {len(measured)}{where}"
-        yield Fault.of("glitches", count, glitches, total=len(measured))
-
-
-def _glitches(measured: Array) -> tuple[int, float | None]:
-    """Count readings that leave the joint's path for a tick or two; return their usual value."""
-    values = measured[stray_readings(measured[:, None])[:, 0]]
-    if not len(values):
-        return 0, None
-    value, times = Counter(values.tolist()).most_common(1)[0]
-    return len(values), value if 2 * times > len(values) else None
-
-
-def _steps(found: float, name: str, quantum_rad: float) -> Iterator[Fault]:
-    if not found or abs(found / quantum_rad - 1.0) <= STEP_TOLERANCE:
-        return
-    if abs(found / quantum_rad * (math.pi / 180.0) - 1.0) <= STEP_TOLERANCE:
-        steps = f"{name} steps by {found:.3g}, robot.toml says {quantum_rad:g}"
-        yield Fault.of("units-steps", steps)
-        return
-    steps = f"{name} steps by {found:.4g} rad"
-    yield Fault.of("quantum", steps, found, quantum_rad=quantum_rad)
+    glitches = measured[stray_readings(measured[:, None])[:, 0]]
+    if len(glitches):
+        usual = float(np.median(glitches))
+        count = f"{name} {len(glitches)} of {len(measured)}, to {usual:.3f} rad in the median"
+        yield Fault.of("glitches", count, len(glitches), total=len(measured))
 
 
 def _runs_backwards(measured: Array, desired: Array) -> bool:

@@ -58,23 +58,18 @@ class Track(Generic[FindingT]):
         self.finding: FindingT | None = None  # what two judgements in a row have found
         self.settled = False  # nothing more is looked for
         self._suspected: FindingT | None = None  # by the last judgement alone
-        self._place = place
+        self.place = place
 
     @property
     def begun(self) -> bool:
         """Return whether the leg has had samples."""
-        return bool(self._place.leg.kept_n)
-
-    @property
-    def samples(self) -> int:
-        """Return how many samples the leg has had."""
-        return int(self._place.leg.total_n)
+        return bool(self.place.leg.kept_n)
 
     @property
     def motion(self) -> LegMotion:
         """Copies of its newest samples; none once it is settled."""
         most = 0 if self.settled else KEPT
-        stamps, measured, desired, swing = self._place.batch.kept(self._place.row, most)
+        stamps, measured, desired, swing = self.place.batch.kept(self.place.row, most)
         t_ns, seq, _ = stamps.T.copy()
         # Counted from the first, as numbers of any size are.
         return LegMotion(t_ns, measured.copy(), desired.copy(), swing, seq - seq[:1])
@@ -115,7 +110,7 @@ class Watch(Generic[FindingT]):
         self._tracks: dict[str, Track[FindingT]] = {}
         self._times = [round(time / robot.period_s) for time in times_s]
         self._pending: int | None = None
-        self._looks = self._jobs = 0
+        self._looks = 0
 
     def track(self, leg: Leg, place: LegPlace) -> Track[FindingT] | None:
         """Make the track of a leg with arrays; None for one that is not described."""
@@ -139,15 +134,14 @@ class Watch(Generic[FindingT]):
         # Legs that are updated one by one are looked at more than once a tick.
         if not self._times or self._looks < self._times[0]:
             return
-        if max((track.samples for track in self._tracks.values()), default=0) < self._times[0]:
+        if max((of.place.leg.total_n for of in self._tracks.values()), default=0) < self._times[0]:
             return
         del self._times[0]
         if all(track.settled for track in self._tracks.values()):
             return
-        self._jobs += 1
-        self._pending = self._jobs
+        self._pending = len(self._times)
         motions = {leg: track.motion for leg, track in self._tracks.items() if track.begun}
-        self._refitter.submit(MotionJob(self._name, self._jobs, self._judge, motions))
+        self._refitter.submit(MotionJob(self._name, self._pending, self._judge, motions))
 
     def _conclude(self, found: Mapping[str, FindingT | None]) -> None:
         """Take a judgement."""

@@ -62,10 +62,8 @@ HOLD_S: Final = 0.36
 MOST_FLIPS: Final = 5
 # Errors of rows are not independent: their mean square is as sure as that of so many.
 SWINGS: Final = 30
-# A fit of zeros ends where they move by less, rad; steps of a fit, and choices of its rows.
+# A fit of zeros ends where they move by less, rad.
 NEAR_RAD: Final = 2e-3
-MOST_STEPS: Final = 4
-ROUNDS: Final = 5
 # Ways to read a leg, and pairs of legs, whose feet are remembered.
 _PLACES, _PAIRS = 256, 8192
 
@@ -349,10 +347,10 @@ def refine(
         return [r.shifted(padded[list(own)]) for r, own in zip(readings, moved, strict=True)]
 
     # The rows that are left out follow the zeros, and these the rows.
-    for _ in range(ROUNDS):
+    for _ in range(5):
         kept = feet.kept(at(x))
         fit = scipy.optimize.least_squares(
-            lambda x, kept=kept: feet.errors(at(x), kept), x, xtol=NEAR_RAD, max_nfev=MOST_STEPS
+            lambda x, kept=kept: feet.errors(at(x), kept), x, xtol=NEAR_RAD, max_nfev=4
         )
         settled, x = np.abs(fit.x - x).max() < NEAR_RAD, fit.x
         if settled:
