@@ -31,7 +31,7 @@ from adaptive_contact.bridge.plan import JointPlan, PortPlan
 from adaptive_contact.bridge.port import PortLostError
 from adaptive_contact.bridge.transport import Mailbox, Outlet, Pulse
 from adaptive_contact.errors import BusError
-from adaptive_contact.wire import BridgeStatus
+from adaptive_contact.wire import NS_PER_S, BridgeStatus
 
 # Of the control period: 2.4 ms at 50 Hz.
 LEAD_SHARE: Final = 0.12
@@ -76,9 +76,6 @@ class PhaseLock:
         return -self.lead_s / 12
 
 
-_NS: Final = 1_000_000_000
-
-
 class PortLoop:
     """Runs one port until it is stopped.
 
@@ -107,7 +104,7 @@ class PortLoop:
         self._pulse = Pulse(plan.period_s)
         self._news = News(plan)
         self._lock = PhaseLock(plan.period_s) if mode == "observe" else None
-        self._period_ns = round(plan.period_s * _NS)
+        self._period_ns = round(plan.period_s * NS_PER_S)
         self._phase_ns = round(phase * self._period_ns)
         self._reconnects = 0
         self._lost = False
@@ -138,7 +135,7 @@ class PortLoop:
         wall_ns = time.time_ns() - mono_ns
         turns = (mono_ns - self._phase_ns) // self._period_ns
         due_ns, seq = (turns + 2) * self._period_ns + self._phase_ns, 0
-        self._status_ns = mono_ns + _NS
+        self._status_ns = mono_ns + NS_PER_S
         while not stop.is_set():
             if self._lost and not self._reopen(stop):
                 continue
@@ -173,12 +170,12 @@ class PortLoop:
         before = None
         joint = self.cycle.moving_goal() if self._lock is not None else None
         if self._lock is not None and joint is not None:
-            lead_ns = round(self._lock.lead_s * _NS)
-            stop.wait(max(due_ns - lead_ns - time.monotonic_ns(), 0) / _NS)
+            lead_ns = round(self._lock.lead_s * NS_PER_S)
+            stop.wait(max(due_ns - lead_ns - time.monotonic_ns(), 0) / NS_PER_S)
             # Late already: the main reading comes first.
             if time.monotonic_ns() < due_ns - lead_ns // 2:
                 before = self._goal(joint)
-        stop.wait(max(due_ns - time.monotonic_ns(), 0) / _NS)
+        stop.wait(max(due_ns - time.monotonic_ns(), 0) / NS_PER_S)
         self._watched = joint
         return time.monotonic_ns(), before
 
@@ -195,7 +192,7 @@ class PortLoop:
         if self._lock is None or self._watched is None:
             return 0
         now, last = self.cycle.goal_of(self._watched)
-        return round(self._lock.update(before=before, now=now, last=last) * _NS)
+        return round(self._lock.update(before=before, now=now, last=last) * NS_PER_S)
 
     def _reopen(self, stop: threading.Event) -> bool:
         """Try to open a lost port; True when it is back."""
@@ -226,7 +223,7 @@ class PortLoop:
         """Publish the status where a second has passed."""
         if now_ns < self._status_ns:
             return
-        self._status_ns = now_ns + _NS
+        self._status_ns = now_ns + NS_PER_S
         if not self._lost:
             self.cycle.ask_alarms(time.monotonic_ns())
             for line in self._news.lines(self.cycle.health, self.bus.late):

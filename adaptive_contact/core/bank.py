@@ -30,6 +30,7 @@ from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
 from adaptive_contact.model.library import Library, with_changes
 from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.robot.description import MAX_JOINTS
 from adaptive_contact.wire import ContactEvent, ServoSample, is_leg_id
 
 T = TypeVar("T")
@@ -41,7 +42,6 @@ OnFault = Callable[[str, Exception], None]
 # leg grow faster than that, to 14 MB for 16 joints.
 MAX_LEGS: Final = 32
 MAX_SQUARES: Final = 1024
-MAX_JOINTS: Final = 16
 
 
 class LegGroup:

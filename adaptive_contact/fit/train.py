@@ -15,6 +15,7 @@ import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.core.detect.swing import AFTER_TICKS
+from adaptive_contact.core.detect.swing_labels import LAST_TICKS
 from adaptive_contact.errors import IdentificationError, TooLittleDataError
 from adaptive_contact.fit.held_out import HeldOut, Manner, strength_of, swept
 from adaptive_contact.fit.outliers import inliers, untouched
@@ -46,8 +47,6 @@ MOST_FOLDS: Final = 10
 # λ in units of the residual's own root mean square: a term that moves the prediction by less
 # than a fiftieth of the noise cannot be distinguished from none; one that moves it by all is law.
 SWEEP: Final = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
-# Without truth: the last ticks of a swing may hold the touch that ended it.
-LAST_TICKS: Final = 6
 
 
 @dataclasses.dataclass(frozen=True)

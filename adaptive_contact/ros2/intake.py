@@ -23,9 +23,8 @@ from adaptive_contact.ros2.problems import (
 )
 from adaptive_contact.ros2.rmw import COMMANDS, FLAGS, STATES, RosType
 from adaptive_contact.ros2.ticks import Origin, Publisher, TickCounter
-from adaptive_contact.wire import ContactTruth, Message, ServoSample
+from adaptive_contact.wire import NS_PER_S, ContactTruth, Message, ServoSample
 
-_NS: Final = 1_000_000_000
 # A leg that moves _MOVED_RAD away from its last command, this long after it, follows commands that
 # do not arrive.  One that holds its pose, or is still on its way, needs none.
 _NO_COMMAND_S: Final = 1.0
@@ -113,7 +112,7 @@ class Intake:
         self._robot = robot
         self._refuse = on_problem
         self._roles: dict[str, _Roles] = {}
-        self._ticks = TickCounter(run, robot.period_s * _NS, on_problem)
+        self._ticks = TickCounter(run, robot.period_s * NS_PER_S, on_problem)
         self._ignored: set[str] = set()  # joints of no leg that have been reported
         self._no_command_ticks = round(_NO_COMMAND_S / robot.period_s)
         self._offset_ns: int | None = None
@@ -225,7 +224,7 @@ class Intake:
         if values is None:
             return
         stamp = message.header.stamp
-        stamp_ns = stamp.sec * _NS + stamp.nanosec
+        stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec
         t_ns = stamp_ns or origin.time_ns  # some nodes leave the stamp empty
         self._offset_ns = t_ns - origin.time_ns
         for leg in legs:

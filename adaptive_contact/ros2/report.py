@@ -12,9 +12,8 @@ import numpy as np
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.ros2.rmw import Address, RosType
 from adaptive_contact.ros2.types import Types
-from adaptive_contact.wire import ContactEvent, LearnerStatus, LegState
+from adaptive_contact.wire import NS_PER_S, ContactEvent, LearnerStatus, LegState
 
-_NS: Final = 1_000_000_000
 # Levels of diagnostic_msgs/DiagnosticStatus.
 OK: Final = 0
 WARN: Final = 1
@@ -201,7 +200,7 @@ class Report:
 
 def header(types: Types, time_ns: int) -> Any:
     """Make a ``Header`` of a time."""
-    seconds, rest = divmod(time_ns, _NS)
+    seconds, rest = divmod(time_ns, NS_PER_S)
     seconds = min(max(seconds, -(2**31)), 2**31 - 1)  # a stamp has 32 bits of them
     stamp = types.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)
     return types.types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
@@ -210,5 +209,5 @@ def header(types: Types, time_ns: int) -> Any:
 def _decided(event: ContactEvent | None) -> tuple[float, float, float, float]:
     if event is None:
         return 0.0, math.nan, math.nan, 1.0
-    onset_age_s = (event.t_ns - event.onset_ns) / _NS
+    onset_age_s = (event.t_ns - event.onset_ns) / NS_PER_S
     return float(event.contact), event.score, onset_age_s, float(event.withheld)

@@ -17,9 +17,7 @@ from adaptive_contact.score.matching import match
 from adaptive_contact.score.outcome import LegOutcome
 from adaptive_contact.score.streams import Gatherer, Received
 from adaptive_contact.score.summary import Summary, summarise
-from adaptive_contact.wire import ContactEvent
-
-_NS_PER_S = 1_000_000_000
+from adaptive_contact.wire import NS_PER_S, ContactEvent
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -85,10 +83,10 @@ def score_messages(
     )
     start_ns = min(outcome.span_ns[0] for outcome in outcomes)
     if from_s > 0.0 or to_s < math.inf:
-        from_ns = start_ns + round(from_s * _NS_PER_S)
+        from_ns = start_ns + round(from_s * NS_PER_S)
         # One past the last sample, so that an open end takes in all.
         end_ns = max(outcome.span_ns[1] for outcome in outcomes) + 1
-        to_ns = end_ns if math.isinf(to_s) else start_ns + round(to_s * _NS_PER_S)
+        to_ns = end_ns if math.isinf(to_s) else start_ns + round(to_s * NS_PER_S)
         outcomes = tuple(outcome.between(from_ns, to_ns) for outcome in outcomes)
     total = summarise(outcomes)
     return Score(

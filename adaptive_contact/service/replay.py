@@ -20,7 +20,6 @@ import threading
 import time
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Final
 
 import msgspec
 import numpy as np
@@ -36,6 +35,7 @@ from adaptive_contact.service.trace import Judged, judged_tick
 from adaptive_contact.wire import (
     JSON,
     MSGPACK,
+    NS_PER_S,
     ContactEvent,
     Reject,
     Rejected,
@@ -45,8 +45,6 @@ from adaptive_contact.wire import (
     is_json,
     leg_of_key,
 )
-
-_NS_PER_S: Final = 1_000_000_000
 
 
 @dataclasses.dataclass
@@ -67,7 +65,7 @@ class Counts:
         """Return the recorded time between the first and the last message handed on, s."""
         if self.first_ns is None or self.last_ns is None:
             return 0.0
-        return (self.last_ns - self.first_ns) / _NS_PER_S
+        return (self.last_ns - self.first_ns) / NS_PER_S
 
     def hand_on(self, log_time_ns: int) -> None:
         """Count a message that is handed on."""
@@ -339,7 +337,7 @@ class TraceBank:
         events = [event for event in self._events if event.leg == leg]
         end_ns = int(t_ns.max(initial=start_ns))
         # Nothing is known from a leg's last sample on until something is said of it again.
-        gaps = t_ns[:-1][np.diff(t_ns) > int(SILENT_AFTER_S * _NS_PER_S)].tolist()
+        gaps = t_ns[:-1][np.diff(t_ns) > int(SILENT_AFTER_S * NS_PER_S)].tolist()
         ends = [(t, False) for t in gaps]
         decided = [(event.t_ns, event.contact) for event in events]
         reported = _spans([*decided, *ends], start_ns, end_ns)
@@ -357,7 +355,7 @@ class TraceBank:
             if leg in gathered.legs_with_truth:
                 contacts = contacts_of(stream.truth, int(stream.t_ns[0]))
                 truth = [
-                    ((begin - start_ns) / _NS_PER_S, (min(end, end_ns) - start_ns) / _NS_PER_S)
+                    ((begin - start_ns) / NS_PER_S, (min(end, end_ns) - start_ns) / NS_PER_S)
                     for begin, end in zip(
                         contacts.onset_ns.tolist(), contacts.release_ns.tolist(), strict=True
                     )
@@ -367,7 +365,7 @@ class TraceBank:
                 )
         return LegTrace(
             leg=leg,
-            t_s=(t_ns - start_ns) / _NS_PER_S,
+            t_s=(t_ns - start_ns) / NS_PER_S,
             ratio=ratio,
             p=np.array(ticks.p, dtype=np.float64),
             stance=stance,
@@ -388,7 +386,7 @@ def _spans(changes: list[tuple[int, bool]], start_ns: int, end_ns: int) -> Spans
         if holds and since is None:
             since = at_ns
         elif not holds and since is not None:
-            spans.append(((since - start_ns) / _NS_PER_S, (at_ns - start_ns) / _NS_PER_S))
+            spans.append(((since - start_ns) / NS_PER_S, (at_ns - start_ns) / NS_PER_S))
             since = None
     return spans
 
@@ -410,7 +408,7 @@ def _touches(
         row = ROWS[int(table.row[i])]
         speed = table.speed_m_s[i]
         of = row if np.isnan(speed) else f"{row}, {speed:.3f} m/s"
-        at_s = (onset - start_ns) / _NS_PER_S
+        at_s = (onset - start_ns) / NS_PER_S
         if table.found[i]:
             latency = int(table.latency_ns[i])
             score = scores.get(onset + latency)
@@ -427,7 +425,7 @@ def _touches(
     for at_ns, after in zip(outcome.alarms_ns.tolist(), outcome.alarm_after, strict=True):
         where = "in or after the turn to stance" if after else "in the swing"
         why = f"false, {scores.get(at_ns, np.nan):.2f} times the threshold, {where}"
-        found.append(Touch((at_ns - start_ns) / _NS_PER_S, "false", why))
+        found.append(Touch((at_ns - start_ns) / NS_PER_S, "false", why))
     return sorted(found, key=lambda touch: touch.at_s)
 
 

@@ -16,6 +16,8 @@ VERSION: Final = 1
 # No library looks further ahead than 20 ticks.  A payload holds tens of thousands of rows, and
 # every leg would wait while they are looked at.
 MAX_PREVIEW_TICKS: Final = 64
+# Of all times and stamps.
+NS_PER_S: Final = 1_000_000_000
 # A joint reads within a few turns of zero; what is further out is not an angle of a leg.
 MAX_ANGLE_RAD: Final = 8 * math.pi
 

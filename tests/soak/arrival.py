@@ -13,9 +13,10 @@ from typing import Final
 
 import numpy as np
 
+from adaptive_contact.wire import NS_PER_S
+
 # An honest event takes some ms; a busy machine's scheduler some tens.
 LATE_S: Final = 0.25
-_NS: Final = 1_000_000_000
 
 
 class SourceClock:
@@ -33,11 +34,11 @@ class SourceClock:
     @property
     def behind_s(self) -> float:
         """How far the source fell behind, from its best second to its worst."""
-        return float(np.ptp(self._lags_ns)) / _NS
+        return float(np.ptp(self._lags_ns)) / NS_PER_S
 
     def lag_ns(self, t_ns: int) -> int:
         """Of a sample's time; in an outage that of the second before it."""
-        at = int(np.searchsorted(self._seconds, t_ns // _NS, side="right")) - 1
+        at = int(np.searchsorted(self._seconds, t_ns // NS_PER_S, side="right")) - 1
         return int(self._lags_ns[max(at, 0)])
 
     def of_wall(self, wall_ns: int) -> int:
@@ -60,7 +61,7 @@ def judge_arrivals(
     """
     took_s = np.array(
         [
-            (at_ns - t_ns - clock.lag_ns(t_ns)) / _NS
+            (at_ns - t_ns - clock.lag_ns(t_ns)) / NS_PER_S
             for at_ns, t_ns in arrived
             if not any(begin <= t_ns <= end for begin, end in windows)
         ]

@@ -24,6 +24,7 @@ from adaptive_contact.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
+    NS_PER_S,
     ContactEvent,
     LearnerStatus,
     Message,
@@ -46,7 +47,6 @@ _SETTLE_S: Final = 2.5
 _DEAD_S: Final = 10.0
 # A refit under way ends before its process sees that nobody waits for it; the longest is a minute.
 _ORPHAN_S: Final = 90.0
-_NS: Final = 1_000_000_000
 
 
 class Broken(NamedTuple):
@@ -92,7 +92,7 @@ class Heard:
 
     def _lag(self, sent: tuple[int, ServoSample]) -> None:
         now_ns, sample = sent
-        second, lag_ns = sample.t_ns // _NS, now_ns - sample.t_ns
+        second, lag_ns = sample.t_ns // NS_PER_S, now_ns - sample.t_ns
         self.lags_ns[second] = min(lag_ns, self.lags_ns.get(second, lag_ns))
 
 

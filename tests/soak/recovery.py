@@ -13,13 +13,13 @@ import numpy as np
 
 from adaptive_contact import ContactEvent
 from adaptive_contact.score import LegOutcome, TruthChanges
+from adaptive_contact.wire import NS_PER_S
 
 from .arrival import SourceClock
 from .conduct import RECOVERY_S, Broken, Take
 
 # What an event takes to get here, on top of what the detector may take.
 _TRAVEL_NS: Final = 250_000_000
-_NS: Final = 1_000_000_000
 
 
 def right_events(
@@ -65,8 +65,8 @@ def recovery_of(
     for leg, events in right.items():
         heard = (at for at, event in events if at > fault.to_ns and event.t_ns > to_ns)
         first_ns = next(heard, math.inf)
-        last_s = max(last_s, (first_ns - fault.to_ns) / _NS)
-        if first_ns > max(fault.to_ns + RECOVERY_S * _NS, touched_ns.get(leg, 0)):
+        last_s = max(last_s, (first_ns - fault.to_ns) / NS_PER_S)
+        if first_ns > max(fault.to_ns + RECOVERY_S * NS_PER_S, touched_ns.get(leg, 0)):
             late.append(leg)
     return last_s, late
 

@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.score import Events, LegOutcome, LegStream, contacts_of
+from adaptive_contact.wire import NS_PER_S
 
 from .conduct import RECOVERY_S, Drifting
 
-_NS: Final = 1_000_000_000
-_AFTER_NS: Final = int(RECOVERY_S * _NS)
+_AFTER_NS: Final = int(RECOVERY_S * NS_PER_S)
 _NONE: Final = np.zeros(0, dtype=bool)
 # A foot that comes off so soon after the word was just leaving: the calm ticks that decide may
 # be those in which its load goes, and truth is told by the last tenth of a newton.
@@ -91,8 +91,8 @@ def windows_of(
         for kind, from_ns, to_ns in faults
     ]
     for drift in drifts:
-        begin_ns = epoch_ns + int(drift.at_s * _NS)
-        ramp_ns = begin_ns + int(drift.duration_s * _NS)
+        begin_ns = epoch_ns + int(drift.at_s * NS_PER_S)
+        ramp_ns = begin_ns + int(drift.duration_s * NS_PER_S)
         found.append(Window(begin_ns, begin_ns + _AFTER_NS, drift.option, ramp_ns))
     return sorted(found)
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events, Gatherer, match
 from adaptive_contact.service.recording import read_recording
-from adaptive_contact.wire import ServoSample, decode, leg_of_key
+from adaptive_contact.wire import NS_PER_S, ServoSample, decode, leg_of_key
 
 from .accounts import (
     forgotten_s,
@@ -49,7 +49,6 @@ MISSED_SHARE: Final = 0.01
 FORGIVEN: Final = 2
 # While a drift is under way its cause has not ended; so many errors per touch are honest there.
 RAMP_SHARE: Final = 0.05
-_NS: Final = 1_000_000_000
 
 
 def heard_of(events: Events, first_ns: int) -> Events:
@@ -111,7 +110,7 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> tuple[dict[str, Any], lis
         "inconsistent": inconsistent(take, seq_of) + len(take.heard.unreadable),
         "settled": summed([one for one in sections if not one.ramp]),
         "errors": [
-            (what, leg, round((int(at_ns) - epoch_ns) / _NS, 2))
+            (what, leg, round((int(at_ns) - epoch_ns) / NS_PER_S, 2))
             for what, leg, times_ns in errors
             for at_ns in times_ns
             if not any(window.begin_ns <= at_ns <= window.end_ns for window in windows)
@@ -126,7 +125,7 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> tuple[dict[str, Any], lis
         # Lost and not counted, or counted and not lost; the worst leg.
         "uncounted": max(uncounted(leg, seq_of[leg], take) for leg in robot.leg_ids),
         "rejects": sum((Counter(status.rejects) for status in newest.values()), Counter[str]()),
-        "outage_s": [(fault.to_ns - fault.from_ns) / _NS for fault in take.broken],
+        "outage_s": [(fault.to_ns - fault.from_ns) / NS_PER_S for fault in take.broken],
         # Until every leg's first right event was heard here, and who was late.
         "recovery": back,
         "memory": grown(take.resident, plan.warm_up_s),
