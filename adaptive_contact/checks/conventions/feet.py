@@ -301,21 +301,13 @@ class Feet:
         """Whether every leg that stands keeps its distances from the others."""
         return bool((self.costs(chosen) < RIGID**2).all())
 
-    def kept(self, readings: Sequence[Reading]) -> list[Ints]:
-        """Rows of every pair that are not left out as its worst."""
-        return [pair.kept for _, _, pair in self._pairs(readings)]
-
-    def errors(self, readings: Sequence[Reading], kept: Sequence[Ints]) -> Array:
+    def errors(self, readings: Sequence[Reading]) -> Array:
         """(m,) changes of distance over each pair's way, weighed: their squares add to rho²."""
-        pairs = [pair for _, _, pair in self._pairs(readings)]
-        whole = sum(pair.weight for pair in pairs)
+        pairs = [pair for _, _, pair in self._pairs(readings) if pair.weight]
+        whole = sum(pair.weight * len(pair.change) for pair in pairs)
         parts = [
-            pair.change[rows]
-            * math.sqrt(
-                pair.weight / whole / len(rows) / max(pair.way2[rows].mean(), LEAST_WAY_M**2)
-            )
-            for pair, rows in zip(pairs, kept, strict=True)
-            if pair.weight
+            pair.change * math.sqrt(pair.weight / whole / max(pair.way2.mean(), LEAST_WAY_M**2))
+            for pair in pairs
         ]
         return np.concatenate(parts) if parts else np.zeros(0)
 
@@ -328,7 +320,9 @@ def _squared(vectors: Array) -> Array:
 def refine(
     feet: Feet, readings: Sequence[Reading], moved: Sequence[Sequence[int]]
 ) -> tuple[list[Reading], float]:
-    """Find the zeros near a start for which the feet are most rigid, by least trimmed squares.
+    """Find the zeros near a start for which the feet are most rigid, by least squares.
+
+    Feet that slip, and touches, weigh little, by a loss that grows as a logarithm.
 
     Args:
         feet: that stand, by one stance of each leg.
@@ -340,22 +334,17 @@ def refine(
         The readings, and the largest standard deviation of a parameter, rad: where the motion does
         not show a zero, as that of feet that go to and fro in a line, it is large.
     """
-    x = np.zeros(1 + max(max(own) for own in moved))
 
     def at(x: Array) -> list[Reading]:
         padded = np.append(x, 0.0)
         return [r.shifted(padded[list(own)]) for r, own in zip(readings, moved, strict=True)]
 
-    # The rows that are left out follow the zeros, and these the rows.
-    for _ in range(5):
-        kept = feet.kept(at(x))
-        fit = scipy.optimize.least_squares(
-            lambda x, kept=kept: feet.errors(at(x), kept), x, xtol=NEAR_RAD, max_nfev=4
-        )
-        settled, x = np.abs(fit.x - x).max() < NEAR_RAD, fit.x
-        if settled:
-            break
+    rows = max(len(feet.errors(readings)), 1)
+    fit = scipy.optimize.least_squares(
+        lambda x: feet.errors(at(x)), np.zeros(1 + max(max(own) for own in moved)),
+        loss="cauchy", f_scale=2.0 * RIGID / math.sqrt(rows), xtol=NEAR_RAD, max_nfev=15,
+    )  # fmt: skip
     weakest = float(np.linalg.eigvalsh(fit.jac.T @ fit.jac)[0])
-    left = float(np.square(feet.errors(at(x), feet.kept(at(x)))).sum())
-    floor = max(left, FLOOR**2) / SWINGS
-    return at(x), math.sqrt(floor / weakest) if weakest > 0 else math.inf
+    found = at(fit.x)
+    floor = float(np.clip(feet.costs(found, 1), FLOOR**2, MOST).mean()) / SWINGS
+    return found, math.sqrt(floor / weakest) if weakest > 0 else math.inf

@@ -38,7 +38,7 @@ ZERO_RIVAL: Final = 1.5
 # are the same; and their standard deviation is within the last.
 OPEN_RAD: Final = 0.1
 ALIKE_RAD: Final = 0.15
-SURE_RAD: Final = 0.05
+SURE_RAD: Final = 0.07
 # Zeros are sought from these on, rad: of one joint, and of all together.
 ZERO_STARTS: Final = (0.0, -math.pi / 2, math.pi / 2)
 # A search over all signs and zeros takes a second or more: it is made with so much motion, s.
