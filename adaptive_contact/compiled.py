@@ -132,24 +132,20 @@ class Compiled:
         folder = cache_folder()
         before, config.CACHE_DIR = config.CACHE_DIR, "" if folder is None else str(folder)
         try:
-            return self._compiler(cache=folder is not None, nogil=True)
+            return _numba().njit(
+                error_model="numpy", no_cfunc_wrapper=True, nogil=True, cache=folder is not None
+            )(self.py_func)
         finally:
             config.CACHE_DIR = before
 
     @functools.cached_property
-    def part(self) -> Any:
-        """What numba makes of it for compiled code that calls it."""
-        return self._compiler(
-            forceinline=self._inlined, no_cpython_wrapper=True, pipeline_class=_part_compiler()
-        )
-
-    @property
     def _numba_type_(self) -> Any:
-        """What compiled code that calls it takes it for."""
-        return self.part._numba_type_
-
-    def _compiler(self, **options: Any) -> Any:
-        return _numba().njit(error_model="numpy", no_cfunc_wrapper=True, **options)(self.py_func)
+        """What compiled code that calls it takes it for: a part, which numba does not keep."""
+        self._part = _numba().njit(
+            error_model="numpy", no_cfunc_wrapper=True, no_cpython_wrapper=True,
+            forceinline=self._inlined, pipeline_class=_part_compiler(),
+        )(self.py_func)  # fmt: skip
+        return self._part._numba_type_
 
 
 @functools.cache
@@ -169,11 +165,9 @@ def _part_compiler() -> Any:
     # What has no machine code has no place in it for Python's objects.
     own = {"finalize": finalize, "codegen": SimpleNamespace(set_env=lambda *_: None)}
     library = type("Part", (core.codegen.JITCodeLibrary,), own)
-
-    def begin(typing: Any, target: Any, _: Any, *rest: Any) -> Any:
-        return core.compiler.Compiler(typing, target, library(target.codegen(), "part"), *rest)
-
-    return begin
+    return lambda typing, target, _, *rest: core.compiler.Compiler(
+        typing, target, library(target.codegen(), "part"), *rest
+    )
 
 
 def compiled(function: Callable[..., Any]) -> Any:

@@ -29,7 +29,7 @@ from collections.abc import Sequence
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+from numpy.lib.stride_tricks import as_strided
 
 from adaptive_contact.arrays import Array, Ints, Mask, scipy
 
@@ -333,7 +333,8 @@ def equal_to_commands(
 def _lagged(commands: Array) -> Array:
     """Return (n, J) commands as of so many ticks before, (J, lags, n); before the first, itself."""
     before = np.concatenate([np.repeat(commands[:1], LAGS - 1, axis=0), commands]).T.copy()
-    return sliding_window_view(before, len(commands), axis=1)[:, ::-1]
+    (row, tick), shape = before.strides, (len(before), LAGS, len(commands))
+    return as_strided(before[:, LAGS - 1 :], shape, (row, -tick, tick), writeable=False)
 
 
 def off_grid(read: Array, sure: Mask, step_rad: float) -> Mask:
@@ -550,12 +551,12 @@ def is_old(samples: Samples, ticks: int, *, was: bool = False) -> bool:
 def steps_of(readings: Array, described_rad: float) -> Array:
     """Compute the steps of the grids that (n, J) readings lie on, where finer than described."""
     values = np.sort(readings.T, axis=1)
-    gaps = np.diff(values, axis=1, prepend=-np.inf)
-    own = np.where(gaps > GRID_RAD, gaps, np.inf)[:, 1:].min(axis=1, initial=np.inf)
-    phases = (values - values[:, :1]) / own[:, None]
-    new = gaps > 0.0  # each value once
-    on_grid = ((np.abs(phases - np.rint(phases)) < 0.1) & new).sum(axis=1)
-    found = np.isfinite(own) & (on_grid >= GRID_SHARE * new.sum(axis=1))
+    gaps = values[:, 1:] - values[:, :-1]
+    own = np.where(gaps > GRID_RAD, gaps, np.inf).min(axis=1, initial=np.inf)
+    phases = (values[:, 1:] - values[:, :1]) / own[:, None]
+    new = gaps > 0.0  # each value once, and the first
+    on_grid = 1 + ((np.abs(phases - np.rint(phases)) < 0.1) & new).sum(axis=1)
+    found = np.isfinite(own) & (on_grid >= GRID_SHARE * (1 + new.sum(axis=1)))
     return np.where(found, np.minimum(own, described_rad), described_rad)
 
 

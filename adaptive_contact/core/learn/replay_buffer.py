@@ -61,7 +61,6 @@ class ReplayBuffer:
     limit: int = SEGMENTS
     rows: int = 0
     segments: deque[Segment] = dataclasses.field(default_factory=deque)
-    _held: int = 0  # rows in all
     _source: int = 0
     _queue: deque[tuple[Segment, int]] = dataclasses.field(default_factory=deque)
 
@@ -90,7 +89,6 @@ class ReplayBuffer:
         values = rows.values[:, :width].copy()
         segment = Segment(values, width - rows.joints, context, cell, era, t_ns, self._source)
         self.segments.append(segment)
-        self._held += len(rows)
         self._queue.extend((segment, row) for row in range(len(rows)))
         many = len(self.segments) > self.limit
         if many and (self._held > self.rows or len(self.segments) > MOST_SEGMENTS):
@@ -134,7 +132,6 @@ class ReplayBuffer:
             return segment.source != self._source or segment.t_ns < t_ns
 
         self.segments = deque(s for s in self.segments if older(s))
-        self._held = sum(len(segment.values) for segment in self.segments)
         self._queue = deque(row for row in self._queue if older(row[0]))
 
     def new_source(self) -> None:
@@ -145,8 +142,11 @@ class ReplayBuffer:
         """Restore saved segments, oldest first; beyond the limit, the newest."""
         self.drop_unlearned()
         self.segments = deque(segments[-MOST_SEGMENTS:])
-        self._held = sum(len(segment.values) for segment in self.segments)
         self._bound_rows()
+
+    @property
+    def _held(self) -> int:
+        return sum([len(segment.values) for segment in self.segments])
 
     def _bound_rows(self) -> None:
         while len(self.segments) > 1 and self._held > MOST_ROWS:
@@ -159,5 +159,4 @@ class ReplayBuffer:
             cells = Counter(segment.cell for segment in self.segments)
             most = max(cells.values())
             index = next(i for i, s in enumerate(self.segments) if cells[s.cell] == most)
-        self._held -= len(self.segments[index].values)
         del self.segments[index]

@@ -139,10 +139,6 @@ class RecursiveLeastSquares:
         other._xi, other._s, other.current = self._xi.copy(), self._s.copy(), self.current.copy()
         return other
 
-    def __deepcopy__(self, _: object) -> RecursiveLeastSquares:
-        """Return :meth:`copy`: compiled functions are bound to the arrays of one object."""
-        return self.copy()
-
     def __getstate__(self) -> dict[str, Any]:
         return {name: of for name, of in vars(self).items() if name != "_learn"}
 
