@@ -107,16 +107,17 @@ def records(scalars: Any) -> Any:
 class Compiled:
     """A function of arrays: compiled when it is first called, or loaded as compiled before.
 
+    IEEE's floating-point rules stay: with others, results would depend on the machine.
+
     Args:
         function: to compile.
-        options: of :func:`numba.njit`; IEEE's floating-point rules stay: with others, results
-            would depend on the machine.
+        inlined: into the compiled functions that call it.
     """
 
-    def __init__(self, function: Callable[..., Any], **options: Any) -> None:
+    def __init__(self, function: Callable[..., Any], *, inlined: bool) -> None:
         functools.update_wrapper(self, function)
         self.py_func = function
-        self.targetoptions = options  # by this name numba looks for what it is to inline
+        self._inlined = inlined
 
     def __call__(self, *args: Any) -> Any:
         """Call the function."""
@@ -131,22 +132,47 @@ class Compiled:
         folder = cache_folder()
         before, config.CACHE_DIR = config.CACHE_DIR, "" if folder is None else str(folder)
         try:
-            caches = folder is not None and self.targetoptions["inline"] == "never"
-            return _numba().njit(error_model="numpy", cache=caches, **self.targetoptions)(
-                self.py_func
-            )
+            return _numba().njit(
+                error_model="numpy", no_cfunc_wrapper=True, nogil=True, cache=folder is not None
+            )(self.py_func)
         finally:
             config.CACHE_DIR = before
 
-    @property
+    @functools.cached_property
     def _numba_type_(self) -> Any:
-        """What compiled code that calls it takes it for."""
-        return self.made._numba_type_
+        """What compiled code that calls it takes it for: a part, which numba does not keep."""
+        self._part = _numba().njit(
+            error_model="numpy", no_cfunc_wrapper=True, no_cpython_wrapper=True,
+            forceinline=self._inlined, pipeline_class=_part_compiler(),
+        )(self.py_func)  # fmt: skip
+        return self._part._numba_type_
+
+
+@functools.cache
+def _part_compiler() -> Any:
+    """Return numba's compiler of functions that compiled code calls.
+
+    By itself it makes machine code of each, and again of all that it calls: of a tick's hundred
+    functions that takes a third of the time.  Here they become machine code with what Python calls.
+    """
+    core = _numba().core
+
+    def finalize(part: Any) -> None:
+        for library in dict.fromkeys(part._linking_libraries):
+            part._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        part._finalized = True
+
+    # What has no machine code has no place in it for Python's objects.
+    own = {"finalize": finalize, "codegen": SimpleNamespace(set_env=lambda *_: None)}
+    library = type("Part", (core.codegen.JITCodeLibrary,), own)
+    return lambda typing, target, _, *rest: core.compiler.Compiler(
+        typing, target, library(target.codegen(), "part"), *rest
+    )
 
 
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a function of arrays when it is first called, or load what was compiled before."""
-    return Compiled(function, inline="never", nogil=True, no_cfunc_wrapper=True)
+    return Compiled(function, inlined=False)
 
 
 def stage(function: Callable[..., Any]) -> Any:
@@ -154,7 +180,7 @@ def stage(function: Callable[..., Any]) -> Any:
 
     What it receives and returns then costs nothing.
     """
-    return Compiled(function, inline="always")
+    return Compiled(function, inlined=True)
 
 
 class Handover:

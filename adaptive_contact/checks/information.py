@@ -29,9 +29,9 @@ from collections.abc import Sequence
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+from numpy.lib.stride_tricks import as_strided
 
-from adaptive_contact.arrays import Array, Ints, Mask
+from adaptive_contact.arrays import Array, Ints, Mask, scipy
 
 # Ticks from a command to its copy, and low-passes by the share of their past that they keep.
 LAGS: Final = 13
@@ -309,47 +309,49 @@ def equal_to_commands(
     Returns:
         The joints, and how many samples ago the first of these readings was.
     """
-    read, told = samples.measured[-ticks:], samples.desired
-    equal = np.abs(read - _lagged(told)[:, -ticks:]) < EQUAL_RAD  # (lags, ticks, J)
+    read, told = samples.measured[-ticks:].T.copy(), samples.desired
+    equal = np.abs(read[:, None] - _lagged(told)[:, :, -ticks:]) < EQUAL_RAD  # (J, lags, ticks)
     if np.count_nonzero(equal) < min(EQUAL_TICKS, 2 * run):
         return (), ticks
-    moved = np.abs(np.diff(told, axis=0, prepend=told[:1]))
+    moved = np.abs(np.diff(told, axis=0, prepend=told[:1])).T
     ends = len(told) - np.arange(LAGS)
     copies = np.zeros(read.shape, dtype=np.bool_)
-    counts = equal.sum(axis=1)
+    counts = equal.sum(axis=2)
     if counts.max() >= EQUAL_TICKS:
-        off = off_grid(read, np.asarray(~equal.any(axis=0)), step_rad)
-        for lag in np.flatnonzero((counts >= EQUAL_TICKS).any(axis=1)) if off.any() else ():
-            same = equal[lag] & off & (moved[ends[lag] - ticks : ends[lag]] > 0.0)
-            copies |= same & (same.sum(axis=0) >= EQUAL_TICKS)
-    for lag in np.flatnonzero((equal.sum(axis=2) > 1).sum(axis=1) >= run):
-        moving = moved[ends[lag] - ticks : ends[lag]] > 0.5 * step_rad
-        whole = (equal[lag] | ~moving).all(axis=1) & (moving.sum(axis=1) > 1)
-        copies |= equal[lag] & moving & in_runs(whole, run)[:, None]
-    first = int(copies.any(axis=1).argmax())
-    return tuple(np.flatnonzero(copies.any(axis=0)).tolist()), ticks - first
+        off = off_grid(read, np.asarray(~equal.any(axis=1)), step_rad)
+        for lag in np.flatnonzero((counts >= EQUAL_TICKS).any(axis=0)) if off.any() else ():
+            same = equal[:, lag] & off & (moved[:, ends[lag] - ticks : ends[lag]] > 0.0)
+            copies |= same & (same.sum(axis=1, keepdims=True) >= EQUAL_TICKS)
+    for lag in np.flatnonzero((equal.sum(axis=0) > 1).sum(axis=1) >= run):
+        moving = moved[:, ends[lag] - ticks : ends[lag]] > 0.5 * step_rad
+        whole = (equal[:, lag] | ~moving).all(axis=0) & (moving.sum(axis=0) > 1)
+        copies |= equal[:, lag] & moving & in_runs(whole, run)
+    first = int(copies.any(axis=0).argmax())
+    return tuple(np.flatnonzero(copies.any(axis=1)).tolist()), ticks - first
 
 
 def _lagged(commands: Array) -> Array:
-    """Return (n, J) commands as of so many ticks before, (lags, n, J); before the first, itself."""
-    before = np.concatenate([np.repeat(commands[:1], LAGS - 1, axis=0), commands])
-    return sliding_window_view(before, len(commands), axis=0)[::-1].transpose(0, 2, 1)
+    """Return (n, J) commands as of so many ticks before, (J, lags, n); before the first, itself."""
+    before = np.concatenate([np.repeat(commands[:1], LAGS - 1, axis=0), commands]).T.copy()
+    (row, tick), shape = before.strides, (len(before), LAGS, len(commands))
+    return as_strided(before[:, LAGS - 1 :], shape, (row, -tick, tick), writeable=False)
 
 
 def off_grid(read: Array, sure: Mask, step_rad: float) -> Mask:
     """Select readings off the grid that those which are certain show; none where they show none.
 
     Args:
-        read: (n, J) rad.
-        sure: (n, J) readings that are certainly the encoder's.
+        read: (J, n) rad.
+        sure: (J, n) readings that are certainly the encoder's.
         step_rad: of the grid; where it begins is read off.
     """
-    turns = 2j * np.pi * read / step_rad
-    zeros = np.angle((np.exp(turns) * sure).sum(axis=0))
-    off: Mask = np.abs(np.angle(np.exp(turns - 1j * zeros))) > 2.0 * np.pi * GRID_PART
-    count = sure.sum(axis=0)
-    known = (count >= LEAST_MOVING) & ((~off & sure).sum(axis=0) >= GRID_SHARE * count)
-    return np.asarray(off & known)
+    turns = read / step_rad
+    zeros = np.angle((np.exp(2j * np.pi * turns) * sure).sum(axis=1, keepdims=True))
+    turns -= zeros / (2.0 * np.pi)
+    off: Mask = np.abs(turns - np.rint(turns)) > GRID_PART
+    count = sure.sum(axis=1)
+    known = (count >= LEAST_MOVING) & ((~off & sure).sum(axis=1) >= GRID_SHARE * count)
+    return np.asarray(off & known[:, None])
 
 
 def in_runs(of: Mask, least: int) -> Mask:
@@ -401,20 +403,21 @@ def departure(samples: Samples, ticks: int, steps: Array) -> Departure | None:
         use[at : at + LAGS] = False
     if use.sum() < LEAST_TICKS:
         return None
-    y, told = samples.measured[first:][use].T, desired[use]
-    speeds = (np.diff(desired, axis=0, prepend=desired[:1]) / steps)[use]
+    # numpy is three times as fast along rows.
+    y, told = samples.measured[first:][use].T.copy(), desired.T.copy()
+    speeds = (np.diff(told, prepend=told[:, :1]) / steps[:, None])[:, use]
     fitted = _fit(basis(desired)[:, use], y)
     off, worst = fitted.off, fitted.worst
     square = (off * off).sum(axis=1)
-    moving = (np.abs(speeds) > MOVING).T
+    moving = np.abs(speeds) > MOVING
     # Few ticks that move are what the coefficients were fitted to.
     moves = moving.sum(axis=1)
-    moves_out = np.take_along_axis(moving, worst, axis=1).sum(axis=1)
+    moves_out = moving[np.arange(len(worst))[:, None], worst].sum(axis=1)
     free = np.maximum(moves - moves_out - fitted.coefficients.shape[1] - 1, 1.0)
     rms = np.sqrt((off * off * moving).sum(axis=1) / free) / steps
-    told_rad = np.ptp(told, axis=0)
+    told_rad = np.ptp(told[:, use], axis=1)
     still = np.ptp(y, axis=1) < LEAST_SHARE * told_rad
-    steady = speeds.T.std(axis=1) < LEAST_SPREAD
+    steady = speeds.std(axis=1) < LEAST_SPREAD
     rms[(moves < LEAST_MOVING) | steady | still] = np.nan
     travels = told_rad > LEAST_TRAVEL_RAD
     rest = square / np.maximum(fitted.square, 1e-12)
@@ -474,7 +477,7 @@ def basis(commands: Array) -> Array:
     """Compute (J, n, p) functions of (n, J) commands: the last ones, and low-passes."""
     n, joints = commands.shape
     columns = np.empty((joints, LAGS + len(POLES), n))
-    columns[:, :LAGS] = _lagged(commands).transpose(2, 0, 1)
+    columns[:, :LAGS] = _lagged(commands)
     columns[:, LAGS:] = low_pass(commands, POLES).transpose(2, 0, 1)
     return columns.transpose(0, 2, 1)
 
@@ -485,13 +488,12 @@ def low_pass(commands: Array, poles: Sequence[float]) -> Array:
     Returns:
         (poles, n, J).
     """
-    # f_k + pole^m f_(k-m) reaches twice as far back as f does.
-    kept = np.array(poles)[:, None, None]
-    passed, ticks = (1.0 - kept) * (commands - commands[0]), 1
-    while ticks < len(commands) and kept.max() > 1e-12:
-        passed[:, ticks:] += kept * passed[:, :-ticks]
-        kept, ticks = kept * kept, 2 * ticks
-    return np.asarray(passed + commands[0])
+    # f_k - pole f_(k-1) = (1 - pole) u_k is solved from the first on.
+    away, bands, passed = commands - commands[0], np.ones((2, len(commands))), []
+    for pole in poles:
+        bands[1] = -pole
+        passed.append(scipy.linalg.lapack.dtbtrs(bands, (1.0 - pole) * away, uplo="L")[0])
+    return np.asarray(np.stack(passed) + commands[0])
 
 
 def held_shares(samples: Samples, steps: Array) -> Array:
@@ -549,12 +551,12 @@ def is_old(samples: Samples, ticks: int, *, was: bool = False) -> bool:
 def steps_of(readings: Array, described_rad: float) -> Array:
     """Compute the steps of the grids that (n, J) readings lie on, where finer than described."""
     values = np.sort(readings.T, axis=1)
-    gaps = np.diff(values, axis=1, prepend=-np.inf)
-    own = np.where(gaps > GRID_RAD, gaps, np.inf)[:, 1:].min(axis=1, initial=np.inf)
-    phases = (values - values[:, :1]) / own[:, None]
-    new = gaps > 0.0  # each value once
-    on_grid = ((np.abs(phases - np.rint(phases)) < 0.1) & new).sum(axis=1)
-    found = np.isfinite(own) & (on_grid >= GRID_SHARE * new.sum(axis=1))
+    gaps = values[:, 1:] - values[:, :-1]
+    own = np.where(gaps > GRID_RAD, gaps, np.inf).min(axis=1, initial=np.inf)
+    phases = (values[:, 1:] - values[:, :1]) / own[:, None]
+    new = gaps > 0.0  # each value once, and the first
+    on_grid = 1 + ((np.abs(phases - np.rint(phases)) < 0.1) & new).sum(axis=1)
+    found = np.isfinite(own) & (on_grid >= GRID_SHARE * (1 + new.sum(axis=1)))
     return np.where(found, np.minimum(own, described_rad), described_rad)
 
 

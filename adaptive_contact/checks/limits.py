@@ -82,7 +82,7 @@ class Limits(NamedTuple):
         ends = [
             f"{name} stops at {at:.3f} rad"
             for name, u, low, high in zip(joints, desired.T, *self, strict=True)
-            for at, beyond in ((low, u.min() <= low), (high, u.max() >= high))
+            for at, beyond in ((low, -np.inf < low >= u.min()), (high, u.max() >= high < np.inf))
             if beyond
         ]
         return ", ".join(ends)

@@ -128,6 +128,7 @@ def columns_of(library: Library, joint: int) -> OwnColumns:
     )  # fmt: skip
 
 
+@functools.lru_cache(64)  # refits of all legs try the same slopes
 def leg_prior(library: Library, quantum_rad: float, widening: float = 1.0) -> LegBaseline:
     """Make the prior of a leg, as a baseline with the spread of its coefficients.
 

@@ -26,6 +26,7 @@ from adaptive_contact.core.detect.layout import (
     DEPTH,
     TOUCHED,
     WEIGHED,
+    copy_vector,
 )
 from adaptive_contact.core.detect.swing import LEAST_WAY_M, height_gradient
 from adaptive_contact.model.noise import (
@@ -448,7 +449,8 @@ def enter_row(leg, swing, past, noise, kept, was_free, past_lift, air):
     )
     if most >= MAX_ROWS:  # the oldest goes
         for k in range(first, at - 1):
-            rows[k], values[k] = rows[k + 1], values[k + 1]
+            rows[k] = rows[k + 1]
+            copy_vector(values[k + 1], values[k])
         at -= 1
         if first == 0:
             leg.lift_n -= 1

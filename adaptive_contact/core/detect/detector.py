@@ -57,6 +57,7 @@ from adaptive_contact.core.detect.layout import (
     TOPPED,
     TOUCHED,
     TURNED,
+    copy_vector,
     kept_of,
     model_of,
     noise_of,
@@ -234,7 +235,7 @@ def follow_swing(leg, sample, source, swing, past, model):
         leg.began_full = leg.has_model and leg.filled >= leg.length and model.depths[1] == 0
         if leg.has_model:
             leg.usable = 0
-            past.began_window[:] = past.window
+            copy_vector(past.window, past.began_window)
 
 
 @stage

@@ -8,8 +8,10 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import numpy as np
+
 from adaptive_contact.compiled import compiled, stage
-from adaptive_contact.core.detect.layout import DEPTH, VALUES
+from adaptive_contact.core.detect.layout import DEPTH, VALUES, copy_vector
 from adaptive_contact.core.detect.regressors import predict, regressors
 
 # No position servo of this class turns faster (AX-12A: 6.2 rad/s): a reading further from the one
@@ -247,7 +249,8 @@ def repair(leg, past, model, measured, valid, has_valid):
         for j in range(joints):
             last_good[j] = reading[j] = measured[j]
         return
-    some_missing = some_bad = has_impossible = False
+    # A literal would have `beyond_reach` compiled once more.
+    some_missing = some_bad = has_impossible = np.bool_(False)
     largest = 0.0
     still = False
     for j in range(joints):
@@ -365,8 +368,8 @@ def enter_residual(leg, theta, thetas):
     """
     if leg.predicted:
         for lag in range(DEPTH - 1, 0, -1):
-            thetas[lag] = thetas[lag - 1]
-        thetas[0] = theta
+            copy_vector(thetas[lag - 1], thetas[lag])
+        copy_vector(theta, thetas[0])
         leg.thetas_n = min(leg.thetas_n + 1, DEPTH)
     leg.reading_variance = 1.0
     if leg.bad:

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.compiled import Handover, records
+from adaptive_contact.compiled import Handover, compiled, records
 from adaptive_contact.model.labelled_swing import ROW
 from adaptive_contact.robot.description import DetectorSettings
 from adaptive_contact.robot.gait_phase import LOW_TICKS
@@ -420,6 +420,13 @@ past_of: Final = TICK.part(Past, PLACES, SHARED)
 model_of: Final = TICK.part(Model, PLACES, SHARED)
 noise_of: Final = TICK.part(Noise, PLACES, SHARED)
 kept_of: Final = TICK.part(Kept, PLACES, SHARED)
+
+
+@compiled
+def copy_vector(of: Any, to: Any) -> None:
+    """Copy a vector; numba takes half a second to compile what assigns it to a slice."""
+    for k in range(len(of)):
+        to[k] = of[k]
 
 
 def vectors(count: int, lengths: Mapping[str, int]) -> tuple[list[NDArray[Any]], NDArray[np.int64]]:

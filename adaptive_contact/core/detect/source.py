@@ -16,7 +16,7 @@ import numpy as np
 from adaptive_contact.compiled import compiled, stage
 from adaptive_contact.core.detect.contact import break_off, let_go
 from adaptive_contact.core.detect.history import restart_history
-from adaptive_contact.core.detect.layout import RING, SOURCE
+from adaptive_contact.core.detect.layout import RING, SOURCE, copy_vector
 from adaptive_contact.core.detect.swing import UNKNOWN
 
 # Steps over which the rate of a steady source is judged: a rate that changes by 20 % shows in the
@@ -354,7 +354,7 @@ def take_phase(leg, phase, desired, height, before, parts):
             if leg.part_whole and parts[0, TICKS] >= LEAST_TICKS:
                 if over == 1:
                     compare_parts(leg, parts, True, True)
-                parts[1 + over] = parts[0]
+                copy_vector(parts[0], parts[1 + over])
             leg.part_whole = True
         leg.phase_part = phase
         parts[0, TICKS] = parts[0, TRAVEL] = parts[0, FALL] = 0.0

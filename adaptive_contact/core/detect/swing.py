@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.compiled import compiled, stage
-from adaptive_contact.core.detect.layout import ASKED, HEIGHTS, PATH_TICKS, SWINGS
+from adaptive_contact.core.detect.layout import ASKED, HEIGHTS, PATH_TICKS, SWINGS, copy_vector
 from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, follow_phase
 from adaptive_contact.robot.kinematics import Chain
 
@@ -263,7 +263,7 @@ def follow_command(leg, swing, measured, desired, awaited):
             leg.top = leg.lowest_m = start[2]
             leg.fallen = np.nan
         if leg.path_n < PATH_TICKS:
-            swing.path[leg.path_n] = desired
+            copy_vector(desired, swing.path[leg.path_n])
             leg.path_n += 1
         leg.path_last = leg.seq
         leg.commanded_up = now[2] > commanded[2]

@@ -20,7 +20,7 @@ import numpy as np
 
 from adaptive_contact.compiled import compiled
 from adaptive_contact.core.detect.contact import GUARD_TICKS, MIN_LIFT_ROWS
-from adaptive_contact.core.detect.layout import BEGAN, TOPPED, WEIGHED
+from adaptive_contact.core.detect.layout import BEGAN, TOPPED, WEIGHED, copy_vector
 from adaptive_contact.core.detect.leg_batch import LegPlace
 from adaptive_contact.core.detect.state import PUT_DOWN
 from adaptive_contact.core.detect.swing_judge import Landings, Rollout, SwingJudge
@@ -306,7 +306,8 @@ def close_swing(rows, values, lift, commanded, count, onset_ns, period_ns, hole_
     for k in range(lift):
         if k < commanded or rows[k].t_ns <= last_ns or rows[k].nis <= limit:
             if kept < k:
-                rows[kept], values[kept] = rows[k], values[k]
+                rows[kept] = rows[k]
+                copy_vector(values[k], values[kept])
             kept += 1
     free = lift
     while (

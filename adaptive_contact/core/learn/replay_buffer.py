@@ -146,7 +146,7 @@ class ReplayBuffer:
 
     @property
     def _held(self) -> int:
-        return sum(len(segment.values) for segment in self.segments)
+        return sum([len(segment.values) for segment in self.segments])
 
     def _bound_rows(self) -> None:
         while len(self.segments) > 1 and self._held > MOST_ROWS:

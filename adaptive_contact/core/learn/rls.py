@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 import math
 from typing import Any, Final
 
@@ -95,7 +96,6 @@ class RecursiveLeastSquares:
         self._innovations = np.zeros(len(noise))
         self._room = np.zeros((2, len(noise), size))
         self.reset_covariance()
-        self._hand_over()
 
     @property
     def coefficients(self) -> Array:
@@ -137,19 +137,10 @@ class RecursiveLeastSquares:
         """Return an independent copy; constant arrays are shared."""
         other = copy.copy(self)
         other._xi, other._s, other.current = self._xi.copy(), self._s.copy(), self.current.copy()
-        other._hand_over()
         return other
-
-    def __deepcopy__(self, _: object) -> RecursiveLeastSquares:
-        """Return :meth:`copy`: compiled functions are bound to the arrays of one object."""
-        return self.copy()
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: of for name, of in vars(self).items() if name != "_learn"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._hand_over()
 
     def reset_covariance(self) -> None:
         """Reset the covariance to the prior: every term may move by as much as it says."""
@@ -216,9 +207,10 @@ class RecursiveLeastSquares:
             self._take_root(joint, np.concatenate([self._s[joint, :n, :n], moves.T], axis=1))
         self._bound()
 
-    def _hand_over(self) -> None:
-        """Bind the learning of a row to the arrays; they stay where they are."""
-        self._learn = LEARNED.bind(
+    @functools.cached_property
+    def _learn(self) -> Any:
+        """Learning of a row, bound to the arrays, which stay where they are; few copies learn."""
+        return LEARNED.bind(
             learn_row,
             {
                 "index": self._index, "counts": self._counts, "per_scale": self._per_scale,
