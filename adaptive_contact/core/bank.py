@@ -21,6 +21,7 @@ from adaptive_contact.checks.leg_ids import watch_ids
 from adaptive_contact.checks.watch import watch_angles
 from adaptive_contact.compiled import note_cached
 from adaptive_contact.core.detect.leg_batch import LegBatch
+from adaptive_contact.core.detect.standing import Standing
 from adaptive_contact.core.detect.stream import fault_of
 from adaptive_contact.core.detect.swing_labels import close_swing, copy_rows, let_go_row
 from adaptive_contact.core.learn.mode import LearnerMode, WhenAmbiguous
@@ -203,6 +204,7 @@ class LearnerBank:
         self._refitter = refitter or InlineRefitter()
         self._conventions = watch_angles(robot, self._refitter)
         self._ids = watch_ids(robot, baseline, self._refitter)
+        self._standing = Standing()
         self._learners: dict[str, ContactLearner] = {}
         self._on_fault = on_fault
         self._when_ambiguous, self._mode = when_ambiguous, mode
@@ -255,6 +257,7 @@ class LearnerBank:
             refitter=self._refitter,
             conventions=self._conventions,
             ids=self._ids,
+            standing=self._standing,
             when_ambiguous=self._when_ambiguous,
             mode=self._mode,
         )

@@ -35,6 +35,7 @@ from adaptive_contact.core.detect.layout import (
     WEIGHED,
 )
 from adaptive_contact.core.detect.leg_batch import LegBatch, LegPlace
+from adaptive_contact.core.detect.standing import Standing
 from adaptive_contact.core.detect.stream import NEXT, Accepted, StreamGuard
 from adaptive_contact.core.detect.swing_judge import SwingJudge
 from adaptive_contact.core.detect.swing_labels import SwingLabels
@@ -107,6 +108,8 @@ class ContactLearner:
         conventions: watches whether the robot's angles are counted as described, together with its
             other legs; the leg by itself where absent.
         ids: watches whether the samples are this leg's, together with the other legs.
+        standing: decides by all legs whether the robot stands; the leg's own load alone where
+            absent.
         when_ambiguous: whether contacts are reported while the leg is ambiguous.
 
     Attributes:
@@ -130,6 +133,7 @@ class ContactLearner:
         refitter: Refitter | None = None,
         conventions: Watch[ConventionFinding] | None = None,
         ids: Watch[Owner] | None = None,
+        standing: Standing | None = None,
         when_ambiguous: WhenAmbiguous = WhenAmbiguous.WITHHOLD,
     ) -> None:
         if baseline is not None:
@@ -144,6 +148,9 @@ class ContactLearner:
         self._conventions = watch_angles(robot) if conventions is None else conventions
         self._track = self._conventions.track(self.leg, self.place)
         self._ids = None if ids is None else ids.track(self.leg, self.place)
+        self._standing = standing
+        if standing is not None:
+            standing.track(self.place)
         self._misread = False  # the leg's angles are not counted as described
         self._faulty = False  # samples say nothing of the leg
         self._contested = False  # two publishers take turns
@@ -365,6 +372,8 @@ class ContactLearner:
             self._assessed = False
             if flags & SOURCE:
                 self._faulty = self.report.source.cause is not None
+        if flags & BEGAN and self._standing is not None:
+            self._standing.end_stance()
         if flags & (BEGAN | TURNED | RESTARTED):
             predicted = None if adapter is None else adapter.monitor.predicts
             if self.report.source.look(flags, predicted=predicted):

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from adaptive_contact.core.bank import LegGroup
+from adaptive_contact.core.detect.standing import Standing
 from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.fit.refit_job import Job
 from adaptive_contact.model import Baseline
@@ -73,7 +74,8 @@ def samples_of(run: Run, leg: str) -> list[ServoSample]:
 def play(run: Run, robot: Robot, baseline: Baseline | None) -> Played:
     """Feed a run to new learners, one for each leg that ever swings."""
     legs = [leg for leg, arrays in run.legs.items() if arrays.swing.any()]
-    learners = {leg: ContactLearner(robot, leg, baseline) for leg in legs}
+    standing = Standing()
+    learners = {leg: ContactLearner(robot, leg, baseline, standing=standing) for leg in legs}
     events = feed(list(learners.values()), [samples_of(run, leg) for leg in legs])
     return Played(dict(zip(legs, events, strict=True)), learners)
 

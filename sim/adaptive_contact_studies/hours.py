@@ -21,6 +21,7 @@ from typing import Annotated, Any, Final, NamedTuple
 import msgspec
 import typer
 
+from adaptive_contact.core.detect.standing import Standing
 from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.robot import Robot
 from adaptive_contact_bullet.gait import GAITS
@@ -129,8 +130,9 @@ def followed(work: Work, walk: Walk) -> Followed:
     # One recording at a time is in memory.
     before = work.one(followed, walk._replace(stages=tuple(earlier))) if earlier else None
     robot, run = recorded(stage)
+    standing = Standing()
     learners, parts, after_ns = before or Followed(
-        tuple(ContactLearner(robot, leg) for leg in robot.leg_ids), (), 0
+        tuple(ContactLearner(robot, leg, standing=standing) for leg in robot.leg_ids), (), 0
     )
     streams = [
         [

@@ -19,6 +19,7 @@ from typing import Annotated, Final, NamedTuple
 import numpy as np
 import typer
 
+from adaptive_contact.core.detect.standing import Standing
 from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.fit.train import learn
@@ -159,7 +160,8 @@ def tried(work: Work, trial: Trial) -> Found | None:
             raise
         return None
     run, robot = made.run, made.shape.description
-    learners = [ContactLearner(robot, leg, known) for leg in robot.leg_ids]
+    standing = Standing()
+    learners = [ContactLearner(robot, leg, known, standing=standing) for leg in robot.leg_ids]
     learned: dict[str, list[int]] = {leg: [] for leg in robot.leg_ids}
 
     def drain(k: int) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from adaptive_contact.core.bank import LegGroup, compile_ahead
+from adaptive_contact.core.detect.standing import Standing
 from adaptive_contact.core.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
@@ -38,7 +39,13 @@ def tick_speed(run: Run, robot: Robot, baseline: Baseline) -> TickSpeed:
     compile_ahead()
     refitter = ProcessRefitter()
     with threadpool_limits(1), contextlib.closing(refitter):
-        group = LegGroup([ContactLearner(robot, leg, baseline, refitter=refitter) for leg in legs])
+        standing = Standing()
+        group = LegGroup(
+            [
+                ContactLearner(robot, leg, baseline, refitter=refitter, standing=standing)
+                for leg in legs
+            ]
+        )
         spent, events = [], []
         begun = time.process_time()
         for samples in rounds:

@@ -309,6 +309,7 @@ LEG: Final = np.dtype(
         ("carried", b1),  # a stance has departed from the free path
         ("slight", b1),  # it carries by stances that go on pushing alone
         ("hanging", b1),  # the last stances showed no load
+        ("stands", i4),  # by the loads of all legs the robot 1 stands, -1 hangs; 0 unknown
         ("p", f8),  # probability that the foot carries; NaN while unknown
         ("touches", b1),  # the state, by hysteresis
         # What is reported of contacts.
@@ -361,7 +362,8 @@ STATE: Final = (
     "foreseen", "command_m", "lowest_command_m", "highest_command_m", "high_ticks", "low_ticks",
     "push_size", "loaded_push", "misfit_size", "push_sum", "misfit", "command_odds", "pressed_n",
     "idle_n", "stance_n", "stance_push", "stance_most", "pressed_stances", "load", "load_n",
-    "carried_load", "carried_n", "kept_ticks", "carried", "slight", "hanging", "p", "touches",
+    "carried_load", "carried_n", "kept_ticks", "carried", "slight", "hanging", "stands", "p",
+    "touches",
 )  # fmt: skip
 
 # The arrays of a `LegBatch`, as each half receives them.

@@ -45,7 +45,7 @@ STEEPNESS: Final = 4.0
 # A step of the logarithm of a median, a tick, once this many are behind it: an e-fold in 10 s.
 STEP: Final = 0.01
 FULL_TICKS: Final = 720  # before, steps are longer
-KNOWN_TICKS: Final = 60
+KNOWN_TICKS: Final = 20
 GIVEN_TICKS: Final = 10  # that the sizes of a baseline are worth
 # A size is at least this share of a loaded push: the quantile over the lower half of the range.
 # Without it, a leg whose free residuals are very small touches before it does.
@@ -96,13 +96,16 @@ def hangs(leg):
     """Return whether no stance has shown load, so that nothing is reported after the turn.
 
     What such a leg does there is not known: a robot that hangs alarmed swing after swing, in a new
-    gait even where a baseline knows its noise.  Of a leg with a baseline some push is enough.
+    gait even where a baseline knows its noise.  Of a leg with a baseline some push is enough.  Of
+    one from a prior all legs of the robot decide, where they do (``standing.py``).
     """
-    if not leg.has_lengths or leg.carried:
+    if not leg.has_lengths:
         return False
     if leg.from_prior:
-        return not (leg.hanging and leg.after_known)
-    return leg.load < PUT_DOWN and (leg.hanging or not leg.after_known)
+        if leg.stands < 0 or (leg.hanging and not leg.carried):
+            return not (leg.hanging and leg.after_known)
+        return not (leg.carried or leg.stands > 0)
+    return not leg.carried and leg.load < PUT_DOWN and (leg.hanging or not leg.after_known)
 
 
 @compiled
