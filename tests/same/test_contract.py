@@ -45,7 +45,7 @@ COUNTED: Final = (
 KEPT: Final = (
     "Counters", "StreamGuard.restarts", "LegBatch.legs.total_n", "Lifecycle.begun", "_Range",
     "ContactLearner._begun", "SwingLabels._region", "Segment.cell", "_Run",
-    "Landings._late", "Watch", "InlineRefitter", "LegGatherer", "Factor",
+    "Landings._late", "Watch", "InlineRefitter", "LegGatherer", "Factor", "Standing",
 )  # fmt: skip
 BAD: Final[Sequence[dict[str, Any]]] = (
     {"measured": [math.nan] * 3}, {"desired": [0.0, math.inf, 0.0]}, {"measured": [0.1] * 2},
