@@ -44,8 +44,10 @@ CALM_SCORE: Final = 0.5
 # Calm ticks in a row that show a foot to be off the ground.  A foot about to leave it may look
 # calm for one tick, while the push along and the pull back cancel.
 CALM_TICKS: Final = 3
-# And within a swing, after a contact, one more.
+# And within a swing, after a contact, one more, for so long: at 200 Hz a foot on soft ground was
+# calm for 20 ms and touched again.
 REARM_TICKS: Final = 4
+REARM_NS: Final = 80_000_000
 # Without calm, the first tick of a lift taken for free: a foot pressed in the stance before has let
 # go by the 7th tick of the command (measured in pose, 62 of 62 cases).
 FREE_LIFT_TICKS: Final = 8
@@ -234,7 +236,7 @@ def swing_tick(leg, score, distance, onset_ns, past_top):
         release(leg, leg.at_ns, score)
         return
     if leg.contact:
-        if leg.calm >= REARM_TICKS:
+        if leg.calm >= REARM_TICKS and leg.calm * leg.period_ns >= REARM_NS:
             release(leg, leg.at_ns, score)
         return
     if score <= 1.0:
