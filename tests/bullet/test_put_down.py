@@ -79,14 +79,3 @@ def test_a_walking_robot_that_is_lifted_reports_no_contacts_for_long(motion: str
     assert sum(learner.status.swings for leg in legs if (learner := bank.learner(leg))) > 150
     assert early < 25
     assert late <= 1
-
-
-def test_legs_whose_touches_come_after_the_turn_find_them_from_the_fourth_stride_on() -> None:
-    """By its own load alone a leg of this robot takes twelve."""
-    walk, first = recorded("bullet-worm tripod hard", 15.0, SEED)
-    bank, legs = LearnerBank(first.robot), list(walk.legs)
-    found = dict.fromkeys(legs, 0)
-    for samples in zip(*(samples_of(walk, leg) for leg in legs), strict=True):
-        for event in bank.update(dict(zip(legs, samples, strict=True))):
-            found[event.leg] += event.contact
-    print(found)

@@ -172,6 +172,11 @@ def test_a_leg_is_lifted_where_its_load_falls_and_not_where_it_is_small() -> Non
     assert leg.carries([2.5, 0.2] * 4)  # every other step into a hole
     assert not leg.carries([0.5] * 12)
     assert hangs(leg.record)
+    leg.of.stands = 1  # all legs of the robot have the last word
+    assert not hangs(leg.record)
+    assert leg.carries([4.0] * 20)
+    leg.of.stands = -1
+    assert hangs(leg.record)
 
 
 @pytest.mark.parametrize(
