@@ -32,6 +32,7 @@ def reference_alarms(
         if swing[k] != before:
             before = swing[k]
             legs[0] = new_legs(1)[0]
+            legs[0].period_ns = 20_000_000
         if swing[k] < 0:
             continue
         value = score[k] / threshold
