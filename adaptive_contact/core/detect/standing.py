@@ -10,8 +10,9 @@ from typing import Final
 
 from adaptive_contact.core.detect.leg_batch import LegPlace
 
-# A robot stands above the first mean load; in between it goes on standing, or is not known to do
-# either.  Of 48 robots that hang, two came to the first; stiff drives walk at 1 to 1.6.
+# A robot stands above the first mean load, in sizes of free motion, and hangs below the second; in
+# between it goes on standing, or is not known to do either.  Of 48 robots that hang, two came to
+# the first; stiff drives walk at 1 to 1.6.
 STANDS_LOAD: Final = 2.0
 HANGS_LOAD: Final = 0.8
 # Loads of the first stances are too low, as the model has still to be learned: before so many of
@@ -26,7 +27,7 @@ LEAST_LEGS: Final = 3
 
 
 class Standing:
-    """Tells the legs of one robot whether it stands or hangs."""
+    """Tells the legs of one robot, as their ``stands``, whether it stands or hangs."""
 
     def __init__(self) -> None:
         self._places: list[LegPlace] = []
