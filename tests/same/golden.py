@@ -8,6 +8,7 @@ statuses every 50 ticks, and the score of every tick.
 from __future__ import annotations
 
 import json
+import math
 import random
 import tempfile
 from collections.abc import Callable
@@ -38,6 +39,7 @@ from .recordings import (
     two_publishers,
     unfit_baseline,
     with_baseline_of,
+    with_slope,
     without_lengths,
     wrong_signs,
 )
@@ -144,6 +146,24 @@ def _late_descents(recording: Recording) -> Recording:
     return recording
 
 
+def _with_holes(recording: Recording) -> Recording:
+    """Two samples of each swing do not come, at the time of most touches."""
+    ticks, rounds = 0, []
+    for samples in recording.rounds:
+        ticks = ticks + 1 if samples["rf"]["phase"] == "swing" else 0
+        rounds += [] if ticks in (15, 16) else [samples]
+    recording.rounds = rounds
+    return recording
+
+
+def _slipped_horn(recording: Recording) -> Recording:
+    """A horn slips by 8°: lifts so far off that they look like those of a foot that is held."""
+    steps = 27 * math.radians(300.0 / 1023.0)
+    for samples in recording.rounds[200:]:
+        samples["rf"]["measured"][2] += steps
+    return recording
+
+
 def _newcomers(recording: Recording) -> Recording:
     """Starts of the source that do not last, then sources beside it that say to be newer."""
     rounds: list[Round] = []
@@ -194,10 +214,10 @@ RECORDINGS: Final[dict[str, Callable[[], Recording]]] = {
     "newcomers": lambda: _newcomers(motion("pose")),
     "fitted": lambda: _fitted(motion("post"), motion("free")),
     "signs": lambda: wrong_signs(_cut(motion("pose"), 1500)),
-}
-# That ``make same`` compares beside them.
-ALSO: Final[dict[str, Callable[[], Recording]]] = {
-    "unfit-baseline": lambda: unfit_baseline(motion("pose")),
+    "holes": lambda: _with_holes(_cut(motion("pose"), 1500)),
+    "slipped-horn": lambda: _slipped_horn(_cut(motion("pose"), 900)),
+    "slope-off-by-4": lambda: cold(with_slope(_cut(motion("pose"), 1500), 0.25)),
+    "unfit-baseline": lambda: unfit_baseline(_cut(motion("pose"), 1500)),
     "no-lengths": lambda: without_lengths(motion("drift")),
 }
 

@@ -77,6 +77,13 @@ def without_lengths(recording: Recording) -> Recording:
     return recording
 
 
+def with_slope(recording: Recording, share: float) -> Recording:
+    """The servos' slope described as so many times what it is."""
+    given = re.compile(r"(?m)(?<=^slope_rad = )[\d.]+")
+    recording.robot = given.sub(lambda found: str(share * float(found[0])), recording.robot)
+    return recording
+
+
 def service_restart(recording: Recording) -> Recording:
     """The service starts again while the leg touches, and while an old publisher still speaks."""
     rounds: list[Round] = []
