@@ -18,6 +18,8 @@ import sys
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from typing import Any, Final, NamedTuple
 
+from adaptive_contact.compiled import CACHE_VARIABLE
+
 from .faults import FAULTS
 from .trees import ONE_THREAD, PACKAGE, ROOT
 
@@ -102,11 +104,11 @@ def _scaled(value: Any, factor: float) -> Any:
 def notice(mutant: Mutant) -> str | None:
     """The first tick of a golden recording that a change makes another; None where none is."""
     folders = ":".join(f"{ROOT}/{of}" for of in ("", "tests", "sim", "models"))
-    # Plain Python takes less time than the compiler.
-    plain = {"NUMBA_DISABLE_JIT": "1"} if mutant.compiled else {}
+    # Compiled anew: nothing is kept of a change.
+    anew = {CACHE_VARIABLE: ""} if mutant.compiled else {}
     done = subprocess.run(
         [sys.executable, "-c", f"from same.mutants import Mutant, replay; replay({mutant})"],
-        env={**os.environ, **ONE_THREAD, "PYTHONPATH": folders, **plain},
+        env={**os.environ, **ONE_THREAD, "PYTHONPATH": folders, **anew},
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     if done.returncode:  # what is raised while modules are imported
