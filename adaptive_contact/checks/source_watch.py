@@ -33,7 +33,7 @@ from adaptive_contact.core.detect.layout import (
     scalars_of,
 )
 from adaptive_contact.core.detect.leg_batch import LegPlace
-from adaptive_contact.core.detect.source import ECHO, NONE, PAUSE, PHASE, STALE, follow_one
+from adaptive_contact.core.detect.source import ECHO, NONE, PAUSE, PHASE, STALE, update_one_clock
 from adaptive_contact.robot import Leg
 from adaptive_contact.wire import Doubt, ServoSample
 
@@ -270,7 +270,7 @@ class RateWatch:
             connect.
         """
         own, ring = self.own, self._own_ring
-        missed = follow_one(own, ring, t_ns, seq, restart)
+        missed = update_one_clock(own, ring, t_ns, seq, restart)
         return None if missed == PAUSE else int(missed)
 
     @property

@@ -2,8 +2,8 @@
 
 :class:`LearnerBank` holds a learner per leg.  :class:`LegGroup` takes learners through a tick: this
 is what makes six legs cost little more than one.  A tick has two halves.  The first,
-:meth:`LegGroup.judge`, goes from samples to contact events.  The second, :meth:`LegGroup.finish`,
-learns from the tick and predicts the next; no event waits for it.
+:meth:`LegGroup.detect_contacts`, goes from samples to contact events.  The second,
+:meth:`LegGroup.learn_from_tick`, learns from the tick and predicts the next; no event waits for it.
 
 Whatever a step of one leg raises resets that leg and no other (:meth:`LegGroup._guarded`).
 """
@@ -72,15 +72,15 @@ class LegGroup:
         Returns:
             The event of each, or None.
         """
-        events = self.judge(samples)
-        self.finish()
+        events = self.detect_contacts(samples)
+        self.learn_from_tick()
         return events
 
-    def judge(self, samples: Sequence[ServoSample | None]) -> list[ContactEvent | None]:
-        """Judge the samples: the first half of a tick, up to its events.
+    def detect_contacts(self, samples: Sequence[ServoSample | None]) -> list[ContactEvent | None]:
+        """Detect contacts in the samples: the first half of a tick, up to its events.
 
-        A learner's status and state are whole only after :meth:`finish`, which its next sample
-        calls if it was not called.
+        A learner's status and state are whole only after :meth:`learn_from_tick`, which its next
+        sample calls if it was not called.
 
         Args:
             samples: the next of each learner, None where there is none.
@@ -89,7 +89,7 @@ class LegGroup:
             The event of each, or None.
         """
         if self._open and any(samples[i] is not None for i in self._open):
-            self.finish()
+            self.learn_from_tick()
         self._regroup()
         events: list[ContactEvent | None] = [None] * len(self.learners)
         for batch, _ in self._batches:
@@ -98,21 +98,21 @@ class LegGroup:
         for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
             if sample is None:
                 continue
-            if self._guarded(i, learner.take, sample):
+            if self._guarded(i, learner.admit_sample, sample):
                 here = True
                 self._open.add(i)
         if not here:
             return events
         # Every batch is judged before the first event is made.
-        for batch, members in [pair for pair in self._batches if pair[0].judge() & EVENTS]:
+        for batch, members in [pair for pair in self._batches if pair[0].evaluate_tick() & EVENTS]:
             for i, flags in zip(members, batch.flags, strict=True):
                 learner = self.learners[i]
                 if flags & EVENTS and batch.accepted[learner.place.row]:
                     events[i] = self._guarded(i, learner.event_of, flags)
         return events
 
-    def finish(self) -> None:
-        """Learn from what was judged, then store commands and predict.
+    def learn_from_tick(self) -> None:
+        """Learn from the tick, then put commands in force and predict the next one.
 
         A leg whose model appears, changes or goes is put into its batch here, too: no event waits
         for that.
@@ -121,12 +121,14 @@ class LegGroup:
             another: list[int] = []
             for batch, members in self._batches:
                 for i, flags in zip(members, batch.flags, strict=True):
-                    if i in self._open and self._guarded(i, self.learners[i].finish, flags):
+                    if i in self._open and self._guarded(
+                        i, self.learners[i].learn_from_tick, flags
+                    ):
                         another.append(i)
-                batch.finish()
+                batch.predict_next_tick()
             self._open.clear()
             for i in another:
-                self._guarded(i, self.learners[i].take_up_model)
+                self._guarded(i, self.learners[i].adopt_model)
         self._regroup()
 
     def _guarded(self, at: int, step: Callable[[*Ts], T], *given: *Ts) -> T | None:
@@ -165,7 +167,7 @@ class LegGroup:
         for group in groups:
             batch = group[0].place.batch
             if batch.count != len(group) or any(o.place.batch is not batch for o in group):
-                batch = LegBatch.of([learner.place for learner in group])
+                batch = LegBatch.from_places([learner.place for learner in group])
             group.sort(key=lambda learner: learner.place.row)
             self._batches.append((batch, [places[id(o)] for o in group]))
         self._homes = [learner.place.batch for learner in self.learners]
@@ -265,7 +267,7 @@ class LearnerBank:
     def add(self, learner: ContactLearner) -> None:
         """Add a learner, to be judged with the others from now on."""
         self._learners[learner.leg.id] = learner
-        self._group.finish()
+        self._group.learn_from_tick()
         self._group = LegGroup(tuple(self._learners.values()), on_fault=self._on_fault)
 
     def update(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
@@ -283,12 +285,12 @@ class LearnerBank:
         """
         for sample in samples.values():
             check_sample(sample)
-        events = self.judge(samples)
-        self.finish()
+        events = self.detect_contacts(samples)
+        self.learn_from_tick()
         return events
 
-    def judge(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
-        """Judge at most one sample per leg; :meth:`finish` does what events need not wait for.
+    def detect_contacts(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
+        """Detect contacts in one sample per leg; :meth:`learn_from_tick` does what can wait.
 
         Args:
             samples: by leg, at most one each.
@@ -300,15 +302,15 @@ class LearnerBank:
             joints = len(sample.measured)
             if leg not in self._learners and not fault_of(sample, joints):
                 self.learner(leg, joints)
-        events = self._group.judge([samples.get(leg) for leg in self._learners])
+        events = self._group.detect_contacts([samples.get(leg) for leg in self._learners])
         if not any(events):  # as in nearly every tick
             return []
         decided = dict(zip(self._learners, events, strict=True))
         return [event for leg in samples if (event := decided.get(leg)) is not None]
 
-    def finish(self) -> None:
-        """Learn from what was judged; statuses and states are complete after it."""
-        self._group.finish()
+    def learn_from_tick(self) -> None:
+        """Learn from the tick; statuses and states are complete after it."""
+        self._group.learn_from_tick()
         self._conventions.look()
         self._ids.look()
 
@@ -322,8 +324,8 @@ def compile_ahead() -> None:
     plain = Library("servo", joints, leg.joint_axes)
     library = with_changes(plain, np.zeros((plain.size, len(joints))))
     batch = LegBatch([leg], library, [0.005], 20_000_000, max_step=0.5)
-    batch.judge()
-    batch.finish()
+    batch.evaluate_tick()
+    batch.predict_next_tick()
     every = np.ones((library.size, len(joints)), dtype=np.bool_)
     coefficients, scale = np.zeros(every.shape), np.ones(library.size)
     recursion = RecursiveLeastSquares(coefficients, every, scale, np.ones(len(joints)))

@@ -3,8 +3,9 @@
 Two values pass between detection and learning, and :class:`ContactLearner` passes them: labelled
 swings (:class:`LabelledSwing`) to the adapter, and what is known of free motion
 (:class:`~adaptive_contact.model.free_motion.FreeMotion`) back to the tick.  A tick calls
-:meth:`~ContactLearner.take`, then the compiled part, then :meth:`~ContactLearner.event_of` where
-there is an event, and later :meth:`~ContactLearner.finish`, which learns.  A
+:meth:`~ContactLearner.admit_sample`, then the compiled part, then
+:meth:`~ContactLearner.event_of` where there is an event, and later
+:meth:`~ContactLearner.learn_from_tick`, which learns.  A
 :class:`~adaptive_contact.core.bank.LegGroup` does so for several learners at once.
 """
 
@@ -188,8 +189,8 @@ class ContactLearner:
             self._end_tick()
         event = None
         place.leg.accepted = False
-        if self.take(sample):
-            flags = place.batch.judge()
+        if self.admit_sample(sample):
+            flags = place.batch.evaluate_tick()
             if flags & EVENTS:
                 event = self.event_of(flags)
             self._end_tick()
@@ -317,8 +318,8 @@ class ContactLearner:
 
     # -- one tick, in the order of its calls ----------------------------------------------------
 
-    def take(self, sample: ServoSample) -> bool:
-        """Put a sample into the arrays, for the tick to judge; False if it is refused."""
+    def admit_sample(self, sample: ServoSample) -> bool:
+        """Write a sample into the arrays of the next tick; False if it is refused."""
         if self._frame is not None:
             sample = self._frame.sample(sample)
         result = self.answer = self._guard.admit(sample)
@@ -331,8 +332,8 @@ class ContactLearner:
         self._sample = sample
         track = self._track
         if track is not None and (self._misread or track.finding is not None):
-            self._follow_convention(grave=track.finding is not None and track.finding.grave)
-        self.place.take(sample, result.missed, result.restart)
+            self._update_misread(grave=track.finding is not None and track.finding.grave)
+        self.place.set_sample(sample, result.missed, result.restart)
         return True
 
     def event_of(self, flags: int) -> ContactEvent | None:
@@ -354,11 +355,11 @@ class ContactLearner:
                 )  # fmt: skip
         return event
 
-    def finish(self, flags: int) -> bool:
+    def learn_from_tick(self, flags: int) -> bool:
         """Pass the tick's labelled swings to the learning, and publish the new free motion.
 
         Returns:
-            Whether another model is to be put in force (:meth:`take_up_model`).
+            Whether another model is to be put in force (:meth:`adopt_model`).
         """
         lifecycle = self.lifecycle
         adapter = lifecycle.adapter
@@ -386,7 +387,7 @@ class ContactLearner:
             return False
         moved = adapter.tick(ROWS_PER_TICK)
         if adapter.found is not None:
-            lifecycle.take_refit(adapter.found)
+            lifecycle.adopt_refit(adapter.found)
             return True
         if assessed:
             # Of readings that may be copies, the model would be learned again.
@@ -406,10 +407,10 @@ class ContactLearner:
             if not adapter.active.inflated:
                 self.place.predict_by(adapter.active.coefficients)
                 return False
-        self.place.judge_by(adapter.free_motion())
+        self.place.set_free_motion(adapter.free_motion())
         return False
 
-    def take_up_model(self) -> None:
+    def adopt_model(self) -> None:
         """Put the model of another adapter in force, from the next tick on."""
         self._begin()
 
@@ -427,10 +428,10 @@ class ContactLearner:
     def _end_tick(self) -> None:
         """Finish a tick of this leg by itself: learning, then command and prediction."""
         batch = self.place.batch
-        another = self.finish(batch.flags[0])
-        batch.finish()
+        another = self.learn_from_tick(batch.flags[0])
+        batch.predict_next_tick()
         if another:
-            self.take_up_model()
+            self.adopt_model()
 
     def _batch(self) -> LegBatch:
         robot, leg = self.robot, self.leg
@@ -459,7 +460,7 @@ class ContactLearner:
         assert isinstance(library, ChangeLibrary)
         place.begin(library, lifecycle.sigma, learning=adapter.learning)
         self.report.publish_withholding()
-        place.judge_by(adapter.free_motion())
+        place.set_free_motion(adapter.free_motion())
 
     def _hand_over(self, flags: int) -> None:
         """Label what this tick's flags say of the swing, and pass it to the adapter."""
@@ -495,7 +496,7 @@ class ContactLearner:
             for part in parts:
                 adapter.learn(part)
 
-    def _follow_convention(self, *, grave: bool) -> None:
+    def _update_misread(self, *, grave: bool) -> None:
         """Stop judging a leg whose angles are not counted as described, or go on."""
         if grave and not self._misread:
             self._let_go()

@@ -48,7 +48,7 @@ class PhaseState:
     low_next: int = 0
 
 
-def follow_phase(leg: PhaseState, height: float, low: Any) -> bool:
+def infer_next_phase(leg: PhaseState, height: float, low: Any) -> bool:
     """Infer the phase of the next tick; the tick of the learners compiles this.
 
     Args:
@@ -87,7 +87,7 @@ def infer_phase(desired: Array, leg: Leg) -> Mask | None:
         return None
     state, low = PhaseState(leg.chain.size), [0.0] * LOW_TICKS
     heights = leg.chain.foot(desired)[:, 2].tolist()
-    return np.array([follow_phase(state, height, low) for height in heights], dtype=bool)
+    return np.array([infer_next_phase(state, height, low) for height in heights], dtype=bool)
 
 
 def directions(desired: Array, leg: Leg) -> Ints:

@@ -301,7 +301,7 @@ class TraceBank:
         learners = {leg: self._bank.learner(leg) for leg in samples}
         known = {leg: learner for leg, learner in learners.items() if learner is not None}
         before = {leg: learner.place.leg.t_ns for leg, learner in known.items()}
-        events = self._bank.judge(samples)
+        events = self._bank.detect_contacts(samples)
         for leg, learner in known.items():
             sample = samples[leg]
             if leg not in self._ticks:
@@ -311,7 +311,7 @@ class TraceBank:
             used = learner.place.leg.t_ns != before[leg]
             judged = judged_tick(learner, sample) if used else None
             self._ticks[leg].add(sample, judged, learner.state.p if used else None)
-        self._bank.finish()
+        self._bank.learn_from_tick()
         self._events += events
         return events
 

@@ -170,7 +170,7 @@ class Service:
             self._endpoints[leg.id] = self._endpoint(leg.id, learner, joints, now_ns)
             self._facts[leg.id] = LegFacts.of(robot, leg.id)
         # What the first sample would wait for: a codec's first of a process takes half a ms.
-        bank.finish()
+        bank.learn_from_tick()
         decode(encode(ServoSample(t_ns=0, seq=0, measured=[0.0], desired=[0.0])), ServoSample)
         for key in map(servo_key, robot.leg_ids) if described_only else (ALL_SERVO,):
             link.subscribe(key, self._queue.offer)
@@ -254,7 +254,7 @@ class Service:
             publisher.put(state)
         self._states.clear()
         if self._unfinished:
-            self._bank.finish()
+            self._bank.learn_from_tick()
         if self._untraced:
             self._trace()
         for request in self._asked:
@@ -375,7 +375,7 @@ class Service:
     def _update(
         self, samples: dict[str, ServoSample], raws: dict[str, Received], now_ns: int
     ) -> None:
-        for event in self._bank.judge(samples):
+        for event in self._bank.detect_contacts(samples):
             self._post(event, raws[event.leg].arrival_ns)
         used = []
         for leg, sample in samples.items():

@@ -50,9 +50,9 @@ def tick_speed(run: Run, robot: Robot, baseline: Baseline) -> TickSpeed:
         begun = time.process_time()
         for samples in rounds:
             start = time.perf_counter()
-            group.judge(samples)
+            group.detect_contacts(samples)
             events.append(time.perf_counter() - start)
-            group.finish()
+            group.learn_from_tick()
             spent.append(time.perf_counter() - start)
         total = time.process_time() - begun
     median, p99 = 1e3 * np.percentile(spent, (50, 99))

@@ -12,7 +12,7 @@ from adaptive_contact import ContactLearner
 from adaptive_contact.compiled import records
 from adaptive_contact.core.bank import LegGroup
 from adaptive_contact.core.detect.layout import new_legs, scalars_of
-from adaptive_contact.core.detect.state import follow_load, hangs
+from adaptive_contact.core.detect.state import hangs, update_load
 from adaptive_contact.core.detect.touch_point import locate
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import DetectorSettings, Robot, inverse
@@ -152,13 +152,13 @@ class Loaded:
         """Whether it carries after stances with such pushes, whose sums grow to these."""
         for push, total in zip(pushes, sums or [0.0] * len(pushes), strict=True):
             self.of.ticks = 1
-            follow_load(self.record)
+            update_load(self.record)
             self.of.ticks, self.of.push_sum = 0, push
             for k in range(12):
                 self.of.push = total * k / 11
-                follow_load(self.record)
+                update_load(self.record)
         self.of.ticks = 1
-        follow_load(self.record)
+        update_load(self.record)
         return bool(self.of.carried)
 
 

@@ -103,13 +103,13 @@ def test_events_before_learning_change_nothing(robot: Robot, baseline: Baseline)
         found: list[ContactEvent | None] = [None] * 4
         for part in (order[:cut], order[cut:]):
             given = [sample if i in part else None for i, sample in enumerate(tick)]
-            for i, event in enumerate(in_halves.judge(given)):
+            for i, event in enumerate(in_halves.detect_contacts(given)):
                 found[i] = event or found[i]
             if rng.random() < 0.3:
-                in_halves.finish()
+                in_halves.learn_from_tick()
         assert found == expected
         heard += sum(event is not None for event in found)
-    in_halves.finish()
+    in_halves.learn_from_tick()
     assert heard > 100
     for a, b in zip(whole, members, strict=True):
         assert a.status == b.status

@@ -26,7 +26,7 @@ def test_the_doubt_begins_with_three_quarters_of_the_swings_and_ends_with_half(
 ) -> None:
     touches, told = EarlyContacts(), False
     for k, swing in enumerate(swings):
-        began = touches.take(swing)
+        began = touches.count_swing(swing)
         count = sum(swings[max(k + 1 - EARLY_SWINGS, 0) : k + 1])
         now = count >= EARLY_BEGIN or (told and count > EARLY_END)
         assert (touches.reported, began) == (now, now and not told)
@@ -77,7 +77,7 @@ def test_touches_are_refuted_where_the_foot_came_down_as_often_as_is_too_many(
 ) -> None:
     touches = EarlyContacts()
     for k in range(EARLY_SWINGS):
-        touches.take(True, refuted=k < came_down)
+        touches.count_swing(True, refuted=k < came_down)
     assert touches.refuted == (came_down == EARLY_BEGIN)
 
 

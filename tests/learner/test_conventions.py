@@ -217,9 +217,9 @@ def play(
     bank = LearnerBank(described or shipped_robot(), shipped_baseline(shipped_robot().name))
     events, notes = [], []
     for tick in source:
-        events += bank.judge(tick)
+        events += bank.detect_contacts(tick)
         notes += [str(bank.learner(event.leg).status.note) for event in events[len(notes) :]]
-        bank.finish()
+        bank.learn_from_tick()
     return bank, events, notes
 
 

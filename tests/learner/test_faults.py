@@ -68,7 +68,7 @@ def test_a_fault_while_restoring_leaves_the_leg_as_new(
     assert msgspec.msgpack.encode(fresh.snapshot()) == msgspec.msgpack.encode(tree)
 
 
-@pytest.mark.parametrize("where", ["take", "event_of", "finish", "take_up_model"])
+@pytest.mark.parametrize("where", ["admit_sample", "event_of", "learn_from_tick", "adopt_model"])
 def test_a_fault_in_a_shared_block_takes_its_own_row_only(
     two_legs: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
@@ -93,8 +93,8 @@ def test_a_fault_in_a_shared_block_takes_its_own_row_only(
 
             if where == "event_of":
                 learner.request_release()
-            if where == "take_up_model":  # called where another model takes over
-                monkeypatch.setattr(learner, "finish", lambda _: True)
+            if where == "adopt_model":  # called where another model takes over
+                monkeypatch.setattr(learner, "learn_from_tick", lambda _: True)
             monkeypatch.setattr(learner, where, fail)
         told += bank.update({"rf": other[k], "lf": sample})
         monkeypatch.undo()
@@ -111,7 +111,7 @@ def test_where_nobody_is_told_of_faults_they_are_raised(
     two_legs: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bank = LearnerBank(two_legs)
-    monkeypatch.setattr("adaptive_contact.core.leg_learner.ContactLearner.finish", None)
+    monkeypatch.setattr("adaptive_contact.core.leg_learner.ContactLearner.learn_from_tick", None)
     with pytest.raises(TypeError):
         bank.update({"rf": FakeLeg(seed=6).stream(1)[0]})
 

@@ -53,7 +53,7 @@ class Leg:
         for level in levels:
             self.monitor.begin_swing(refuted=refuted)
             if held is not None:
-                self.monitor.note_travel(obstructed=held, travel_ratio=0.5 if held else 1.0)
+                self.monitor.record_travel(obstructed=held, travel_ratio=0.5 if held else 1.0)
             of = [level] * 6 if rng is None else (level * rng.chisquare(3, 6) / 3).tolist()
             way = np.full(3, way_rad)
             ticks = [Tick(np.zeros(1), way, at, 3 * at, t_ns=k) for k, at in enumerate(of)]
@@ -93,7 +93,7 @@ def test_what_creeps_up_lift_by_lift_is_a_change_too() -> None:
 def test_a_foot_that_does_not_rise_is_ambiguous_until_it_does() -> None:
     leg = Leg()
     for _ in range(OBSTRUCTED_SWINGS):
-        leg.monitor.note_travel(obstructed=True, travel_ratio=0.4)
+        leg.monitor.record_travel(obstructed=True, travel_ratio=0.4)
     assert leg.monitor.status == "ambiguous"
     assert leg.monitor.note == (
         "the foot came 40 % of its command's way, 2 swings in a row: caught, no strength, or it "
@@ -204,7 +204,7 @@ def test_a_leg_that_is_far_off_is_not_free_by_its_way_alone() -> None:
     for _ in range(3 * RELEASE_SWINGS):
         assert leg.monitor.doubt == "far"
         leg.monitor.begin_swing()
-        leg.monitor.note_travel(obstructed=False, travel_ratio=1.0)
+        leg.monitor.record_travel(obstructed=False, travel_ratio=1.0)
     leg.lifts([1.0] * RELEASE_SWINGS, held=False)
     assert leg.monitor.status == "valid"
 

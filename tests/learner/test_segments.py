@@ -61,10 +61,10 @@ def test_a_wild_command_does_not_make_all_places_one_for_good() -> None:
 
     def places(swings: int) -> set[int]:
         at = rng.uniform((-0.5, -0.3, 0.8), (0.5, 0.3, 1.4), (swings, 3))
-        return {regions.of(command) for command in at.tolist()}
+        return {regions.region_of(command) for command in at.tolist()}
 
     assert places(60) == set(range(6))
-    regions.of([40.0, 0.0, -40.0])
+    regions.region_of([40.0, 0.0, -40.0])
     assert len(places(60)) < 6, "beside that everything is near"
     places(SEGMENTS)
     assert places(60) == set(range(6))

@@ -10,9 +10,9 @@ from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.compiled import records
 from adaptive_contact.core.detect import layout
 from adaptive_contact.core.detect.contact import (
+    assess_fit_before_contact,
     begin_labels,
     context_of,
-    note_contact,
     statistic,
     strikes,
 )
@@ -188,7 +188,7 @@ def test_what_moved_as_predicted_and_then_met_something(
         leg.misfit_ns = leg.onset_ns - (misfits + 1) * PERIOD_NS
     else:
         leg.fit_n = fitted
-    note_contact(records(legs)[0])
+    assess_fit_before_contact(records(legs)[0])
     assert bool(leg.fits) is fits
 
 

@@ -91,7 +91,7 @@ def test_any_chain_matches_homogeneous_matrices(case: tuple[Chain, list[float]])
     np.testing.assert_allclose(chain.point(q), expected[-1], atol=1e-13)
     np.testing.assert_allclose(chain.frames(q)[0], expected, atol=1e-13)
     compiled = np.zeros(3)
-    swing.place_foot(np.array(q), *swing.tabulate(chain), compiled)
+    swing.locate_foot(np.array(q), *swing.tabulate(chain), compiled)
     np.testing.assert_allclose(compiled, expected[-1], atol=1e-13)
 
 

@@ -176,11 +176,11 @@ class FakeBank:
     def add(self, learner: FakeLearner) -> None:
         self._learners[learner.name] = learner
 
-    def judge(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
+    def detect_contacts(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
         events = [self._learners[leg].update(sample) for leg, sample in samples.items()]
         return [event for event in events if event is not None]
 
-    def finish(self) -> None:
+    def learn_from_tick(self) -> None:
         """There is nothing to learn."""
 
 

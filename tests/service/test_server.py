@@ -247,11 +247,11 @@ def test_an_event_does_not_wait_for_learning(
 ) -> None:
     heard, learned = threading.Event(), threading.Event()
 
-    def finish() -> None:
+    def learn_from_tick() -> None:
         if heard.wait(5):
             learned.set()
 
-    monkeypatch.setattr(step.bank, "finish", finish)
+    monkeypatch.setattr(step.bank, "learn_from_tick", learn_from_tick)
     got = inbox(ContactEvent).subscribe(step.client, ALL_CONTACT)
     step.settle()
     with at_work(step.service, heard):
@@ -278,17 +278,17 @@ def test_a_worker_that_is_behind_ends_a_tick_before_it_catches_up(
     for seq in range(40):
         for leg in legs:
             queue.offer(Received(servo_key(leg), encode(sample(seq)), MSGPACK, 0, None))
-    judge, judged, most, done = bank.judge, [0], [0], threading.Event()
+    detect, judged, most, done = bank.detect_contacts, [0], [0], threading.Event()
 
     def count(samples: Mapping[str, ServoSample]) -> object:
         judged[0] += 1
         most[0] = max(most[0], judged[0])
         if max(one.seq for one in samples.values()) == 39:
             done.set()
-        return judge(samples)
+        return detect(samples)
 
-    monkeypatch.setattr(bank, "judge", count)
-    monkeypatch.setattr(bank, "finish", lambda: judged.__setitem__(0, 0))
+    monkeypatch.setattr(bank, "detect_contacts", count)
+    monkeypatch.setattr(bank, "learn_from_tick", lambda: judged.__setitem__(0, 0))
     with at_work(service):
         assert done.wait(20)
     assert most[0] == 2

@@ -41,7 +41,7 @@ def hangs(*_):
         print("a line that nobody reads" * 100, file=sys.stderr)
     threading.Event().wait()
 
-fake_service.FakeBank.judge = hangs
+fake_service.FakeBank.detect_contacts = hangs
 report = {"on_stall": hangs} if what == "the network" else {}
 server.Watchdog = lambda *a, **k: watchdog.Watchdog(*a, **k | report, give_up_s=2.0)
 fake_service.main()
@@ -253,11 +253,11 @@ def test_a_learner_that_hangs_is_seen_by_everyone(
     bank = fake.FakeBank(robot)
     hang = threading.Event()
 
-    def judge(samples: Any) -> list[Any]:
+    def detect_contacts(samples: Any) -> list[Any]:
         hang.wait(60)
         return []
 
-    monkeypatch.setattr(bank, "judge", judge)
+    monkeypatch.setattr(bank, "detect_contacts", detect_contacts)
     service = Service(router, bank, robot, baseline=None, now_ns=time.monotonic_ns())
     client = join(router.endpoints[0])
     got = inbox(ServiceStatus).subscribe(client, SERVICE_STATUS, history=True)

@@ -299,7 +299,7 @@ def fitting_before(leg, onset_ns):
 
 
 @compiled
-def note_fit(leg, level):
+def count_fitting_ticks(leg, level):
     """Count ticks in a row that fit the model; ``level`` is a tick's NIS."""
     if level <= UNFIT_LEVEL:
         leg.fit_n += 1
@@ -308,8 +308,8 @@ def note_fit(leg, level):
 
 
 @compiled
-def note_contact(leg):
-    """Note whether the ticks before a contact fit the model, where the foot came some way.
+def assess_fit_before_contact(leg):
+    """Assess whether the ticks before a contact fit the model, where the foot came some way.
 
     A foot that stops against something after it has moved as predicted is not one whose readings
     are frozen or turned around, or which was held from the start.  One that strikes a step soon
@@ -323,8 +323,8 @@ def note_contact(leg):
 
 
 @compiled
-def note_hole(leg, rows):
-    """Note lost or bad readings: their ticks have no residuals."""
+def record_hole(leg, rows):
+    """Record the time of lost or bad readings: their ticks have no residuals."""
     if leg.row_n > leg.lift_n:
         leg.hole_ns = rows[leg.row_n - 1].t_ns
 
@@ -348,7 +348,7 @@ def push_ratio(leg):
 
 
 @compiled
-def note_push(leg, rows):
+def drop_pushed_rows(leg, rows):
     """Drop the held rows from the onset of a push that lasts, or is doubtful and may last.
 
     What is not learned of a descent is cheap; a touch that is learned hides the next one.

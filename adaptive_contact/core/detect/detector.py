@@ -1,8 +1,8 @@
 """Computes one tick of several legs, compiled: from samples to events, and to predictions.
 
-:func:`judge_tick` is the first half: up to the events, and what is to be kept of the tick.
-:func:`finish_tick` is the second: commands, and the predictions of the next tick.  Between the two,
-Python takes what the first half has flagged.
+:func:`evaluate_tick` is the first half: up to the events, and what is to be kept of the tick.
+:func:`predict_next_tick` is the second: commands, and the predictions of the next tick.
+Between the two, Python takes what the first half has flagged.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from adaptive_contact.core.detect.contact import (
     PRIOR_STRIKE,
     USUAL_CONTACTS,
     add_push,
+    assess_fit_before_contact,
     begin_labels,
     break_off,
     context_of,
+    count_fitting_ticks,
+    drop_pushed_rows,
     enter_row,
     is_high,
     let_go,
     may_stick,
     model_uncertainty,
-    note_contact,
-    note_fit,
-    note_hole,
-    note_push,
     onset,
     push_ratio,
+    record_hole,
     statistic,
     strikes,
     swing_tick,
@@ -43,9 +43,9 @@ from adaptive_contact.core.detect.history import (
     leverage,
     predict_next,
     push_command,
+    push_reading,
     repair,
     restart_history,
-    take,
 )
 from adaptive_contact.core.detect.layout import (
     BEGAN,
@@ -73,25 +73,25 @@ from adaptive_contact.core.detect.source import (
     PAUSE,
     UNJUDGED_TURNS,
     count_turns,
-    follow_clock,
-    follow_source,
     keep_sample,
     restart_clock,
     restart_phase,
-    take_phase,
+    update_clock,
+    update_phase_parts,
+    update_source_cause,
     vote_late,
 )
-from adaptive_contact.core.detect.state import airborne, follow_state, forget_state, hangs
+from adaptive_contact.core.detect.state import airborne, forget_state, hangs, update_state
 from adaptive_contact.core.detect.swing import (
     QUIET_SCORE,
     RECENT_TICKS,
     descending,
-    follow_command,
-    follow_foot,
     forget_phase,
     height_gradient,
-    place_foot,
+    locate_foot,
     resolve_heights,
+    update_commanded_foot,
+    update_measured_foot,
 )
 from adaptive_contact.model.noise import DESCENT, LIFT
 
@@ -132,8 +132,8 @@ def clip(desired, preview, lower, upper):
 
 
 @compiled
-def judge_tick(handed):
-    """Judge a sample of every leg that has one: the first half of a tick, up to its events.
+def evaluate_tick(handed):
+    """Evaluate a sample of every leg that has one: the first half of a tick, up to its events.
 
     Args:
         handed: arrays of a :class:`~adaptive_contact.core.detect.leg_batch.LegBatch`, a row per
@@ -153,14 +153,14 @@ def judge_tick(handed):
         past, model = past_of(batch, i), model_of(batch, i)
         noise, kept = noise_of(batch, i), kept_of(batch, i)
         connect(leg, sample, source, past, model, kept)
-        follow_swing(leg, sample, source, swing, past, model)
+        update_swing(leg, sample, source, swing, past, model)
         watch_source(leg, past)
         if leg.has_model and read(leg, sample, swing, past, model, kept):
             weigh(leg, sample, swing, past, noise)
             was_free, past_lift = decide(leg, swing, past, model, noise, kept)
             leg.weighed |= past_lift and leg.usable > 0 and not leg.loaded
             hold_back(leg, swing, past, noise, kept, was_free, past_lift)
-        follow_state(leg, sample, swing, past, noise)
+        update_state(leg, sample, swing, past, noise)
         found |= leg.found
     return found
 
@@ -174,7 +174,7 @@ def connect(leg, sample, source, past, model, kept):
     keep_sample(leg, measured, desired, source.kept_angles, source.kept_stamps)
     if restart:
         restart_clock(leg)
-    missed = follow_clock(leg, leg.t_ns, leg.seq, source.ring)
+    missed = update_clock(leg, leg.t_ns, leg.seq, source.ring)
     leg.missed = missed
     leg.accepted_n += 1
     leg.total_n += 1
@@ -186,7 +186,7 @@ def connect(leg, sample, source, past, model, kept):
         leg.began_ns, leg.began_n, leg.began_count = leg.at_ns, leg.total_n, 1
     elif missed and leg.has_model:
         if missed != PAUSE and missed < leg.length:
-            note_hole(leg, kept.rows)
+            record_hole(leg, kept.rows)
             bridge(leg, past, model, desired if leg.lost else sample.command, missed)
         else:
             restart_history(leg, past.suspects)
@@ -195,18 +195,18 @@ def connect(leg, sample, source, past, model, kept):
 
 
 @stage
-def follow_swing(leg, sample, source, swing, past, model):
-    """Follow the swing by its commands: it goes on, ends, or the next one begins."""
+def update_swing(leg, sample, source, swing, past, model):
+    """Update the swing by its commands: it goes on, ends, or the next one begins."""
     desired = sample.desired
     height = 0.0
     if leg.has_lengths:
-        place_foot(desired, swing.links, swing.axis_kinds, swing.now)
+        locate_foot(desired, swing.links, swing.axis_kinds, swing.now)
         height = leg.command_m = swing.now[2]
     lifts = count_turns(leg, desired, height, source.turn_at, source.turning, source.turns)
-    take_phase(leg, leg.phase, desired, height, source.phase_before, source.parts)
+    update_phase_parts(leg, leg.phase, desired, height, source.phase_before, source.parts)
     awaited = leg.has_model and not (leg.loaded or leg.contact)
     whole, swung = leg.whole, leg.ticks > 0 and leg.after == 0
-    ends = follow_command(leg, swing, sample.measured, desired, awaited)
+    ends = update_commanded_foot(leg, swing, sample.measured, desired, awaited)
     if swung and (leg.after > 0 or leg.ticks == 0):
         leg.found |= TURNED
     if leg.weighed and (lifts or ends or leg.after or leg.ticks == 0):
@@ -245,7 +245,7 @@ def watch_source(leg, past):
     A contact is released under them, where angles are misread, and where contacts are withheld or
     nothing is judged.
     """
-    follow_source(leg, past.suspects)
+    update_source_cause(leg, past.suspects)
     unjudged = leg.unjudged >= UNJUDGED_TURNS and not leg.weighed
     leg.release_pending |= leg.reported and (is_void(leg) or leg.withholds or unjudged)
     if leg.release_pending:
@@ -265,9 +265,9 @@ def read(leg, sample, swing, past, model, kept):
     It can in a swing, from its second tick on: nothing is predicted in a stance.
     """
     repair(leg, past, model, sample.measured, sample.valid, leg.has_valid)
-    take(past.reading, past.increment, past.window, past.history, model.depths[0])
+    push_reading(past.reading, past.increment, past.window, past.history, model.depths[0])
     can = enter_residual(leg, past.theta, past.thetas)
-    follow_foot(leg, swing, past.reading)
+    update_measured_foot(leg, swing, past.reading)
     if leg.rate_off:
         restart_history(leg, past.suspects)
         break_off(leg)
@@ -277,7 +277,7 @@ def read(leg, sample, swing, past, model, kept):
         break_off(leg)
         can = False
     elif not can:
-        note_hole(leg, kept.rows)
+        record_hole(leg, kept.rows)
     return can and leg.ticks >= 2
 
 
@@ -312,7 +312,7 @@ def weigh(leg, sample, swing, past, noise):
         height_gradient(swing.last_measured, swing.links, swing.axis_kinds, swing.gradient)
     leg.squared = statistic(leg, noise, history, swing.gradient, upward)
     if not leg.bad:
-        note_fit(leg, leg.squared * leg.variance_scale / joints)
+        count_fitting_ticks(leg, leg.squared * leg.variance_scale / joints)
 
 
 @stage
@@ -338,7 +338,7 @@ def decide(leg, swing, past, model, noise, kept):
     calm = DESCENT if leg.descent else LIFT
     swing_tick(leg, score, leg.squared / noise.limits[calm, 0], onset_ns, past_lift and topped)
     if leg.found & TOUCHED:
-        note_contact(leg)
+        assess_fit_before_contact(leg)
     was_free = not (loaded or leg.contact)
     if loaded and not leg.loaded:
         leg.usable = 0  # windows do not reach back to where it was loaded
@@ -358,7 +358,7 @@ def hold_back(leg, swing, past, noise, kept, was_free, past_lift):
     air = airborne(leg)  # then no row is of a touch
     leg.cleared |= air
     if past_lift and not (leg.bad or air) and (was_free or leg.found & TOUCHED):
-        note_push(leg, kept.rows)
+        drop_pushed_rows(leg, kept.rows)
     # After the turn, a low foot may touch too softly to be seen.
     if not leg.bad and (air or not leg.after or is_high(leg, swing)):
         enter_row(leg, swing, past, noise, kept, was_free, past_lift, air)
@@ -444,7 +444,7 @@ def bridge(leg, past, model, desired, missed):
         for j in range(joints):
             now[j] = past.window[j] + past.increment[j]
         repair(leg, past, model, now, past.some[UNUSED], has_valid)
-        take(past.reading, past.increment, past.window, past.history, model.depths[0])
+        push_reading(past.reading, past.increment, past.window, past.history, model.depths[0])
         enter_residual(leg, past.theta, past.thetas)
         leg.usable = 0
         share = k / (missed + 1)
@@ -457,11 +457,11 @@ def bridge(leg, past, model, desired, missed):
 
 
 @compiled
-def finish_tick(handed):
+def predict_next_tick(handed):
     """Put commands in force and predict the next tick: the second half.
 
     Args:
-        handed: as for :func:`judge_tick`.
+        handed: as for :func:`evaluate_tick`.
 
     Returns:
         Largest number of pending rows of any leg.

@@ -344,7 +344,7 @@ def repair(leg, past, model, measured, valid, has_valid):
 
 
 @compiled
-def take(reading, increment, window, history, lags):
+def push_reading(reading, increment, window, history, lags):
     """Shift a reading into the window, and its residual and prediction into the history."""
     joints = len(reading)
     for lag in range(DEPTH - 1, 0, -1):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.checks.limits import Limits
 from adaptive_contact.compiled import records
-from adaptive_contact.core.detect.detector import finish_tick, judge_tick
+from adaptive_contact.core.detect.detector import evaluate_tick, predict_next_tick
 from adaptive_contact.core.detect.layout import (
     BEGINNING,
     DEPTH,
@@ -186,8 +186,8 @@ class LegBatch:
             **vars(self), **self.table._asdict(), "floats": floats,
             "ints": ints, "bools": bools,
         }  # fmt: skip
-        self._judge = TICK.bind(judge_tick, arrays)
-        self._finish = TICK.bind(finish_tick, arrays)
+        self._evaluate_tick = TICK.bind(evaluate_tick, arrays)
+        self._predict_next_tick = TICK.bind(predict_next_tick, arrays)
 
     @property
     def flags(self) -> list[int]:
@@ -195,20 +195,20 @@ class LegBatch:
         found: list[int] = self.legs["found"].tolist()
         return found
 
-    def judge(self) -> int:
-        """Run the first half of a tick; returns the flags of all legs, in one."""
-        found: int = self._judge()
+    def evaluate_tick(self) -> int:
+        """Evaluate the samples, the first half of a tick; returns the flags of all legs, in one."""
+        found: int = self._evaluate_tick()
         return found
 
-    def finish(self) -> None:
-        """Run the second half of a tick."""
-        most = self._finish()
+    def predict_next_tick(self) -> None:
+        """Predict the next tick, the second half of one."""
+        most = self._predict_next_tick()
         if most + 2 > self.rows.shape[1]:
             self.grow()
 
     @classmethod
-    def of(cls, places: Sequence[LegPlace]) -> LegBatch:
-        """Bring legs of equal libraries into one batch."""
+    def from_places(cls, places: Sequence[LegPlace]) -> LegBatch:
+        """Move legs of equal libraries into one batch."""
         first = places[0].batch
         batch = cls(
             [leg for place in places for leg in [place.batch.described[place.row]]], first.library,
@@ -290,7 +290,7 @@ class LegBatch:
 
 
 # What is made of the arrays, and belongs to no other process.
-_BOUND: Final = ("_judge", "_finish", "accepted", *PLACES)
+_BOUND: Final = ("_evaluate_tick", "_predict_next_tick", "accepted", *PLACES)
 _OF_ROWS: Final = ("rows", "row_values")
 _OF_TERMS: Final = ("index", "per_scale", "root")
 # Scratch, what is of all legs, and what is adopted by other names.
@@ -335,8 +335,8 @@ class LegPlace:
         batch.adopt(row, self.batch, self.row)
         self._locate(batch, row)
 
-    def take(self, sample: ServoSample, lost: int, restart: bool) -> None:
-        """Put an accepted sample in, for the next tick to judge."""
+    def set_sample(self, sample: ServoSample, lost: int, restart: bool) -> None:
+        """Write an accepted sample into the arrays of the next tick."""
         batch, row = self.batch, self.row
         missing = sample.valid is not None and not all(sample.valid)
         self._write_sample(
@@ -395,8 +395,8 @@ class LegPlace:
         """Mark that no model is in force."""
         self.leg.has_model = False
 
-    def judge_by(self, free: FreeMotion) -> None:
-        """Put what is known of free motion into the arrays that ticks judge by."""
+    def set_free_motion(self, free: FreeMotion) -> None:
+        """Write what is known of free motion into the arrays of the next ticks."""
         leg, batch, row, before = self.leg, self.batch, self.row, self._judged_by
         self._write_free(
             free.variance_scale, free.changed, free.covariance is not None, free.from_prior,

@@ -125,8 +125,8 @@ def anchor(leg, t_ns, seq, ring):
 
 
 @compiled
-def note_jitter(leg, by):
-    """Take in a deviation from the schedule, periods."""
+def update_jitter(leg, by):
+    """Update the jitter by a deviation from the schedule, periods."""
     leg.jitter_mean += (by - leg.jitter_mean) / JITTER_MEMORY
     leg.jitter_square += (by * by - leg.jitter_square) / JITTER_MEMORY
     if by == 0.0:
@@ -155,7 +155,7 @@ def off_schedule(leg, t_ns, seq, missed, periods, ring):
     leg.at_ns = due_ns + np.int64(np.rint(SCHEDULE_GAIN * by_ns))
     leg.due_ns = leg.at_ns + np.int64(np.rint(leg.pace * period))
     leg.lateness = (t_ns - leg.at_ns) / (leg.pace * period)
-    note_jitter(leg, by_ns / period)
+    update_jitter(leg, by_ns / period)
     found_ns = leg.found_ns
     if found_ns != found_ns:
         found_ns = (t_ns - ring[oldest, 0]) / (seq - ring[oldest, 1])
@@ -171,7 +171,7 @@ def off_schedule(leg, t_ns, seq, missed, periods, ring):
 
 
 @compiled
-def judge_rate(leg, ring):
+def check_rate(leg, ring):
     """Compare the mean of as many steps as their spread asks for with the period."""
     steps = RATE_STEPS
     if leg.spread:
@@ -239,8 +239,8 @@ def even_out(leg, t_ns, seq, ring):
 
 
 @compiled
-def follow_clock(leg, t_ns, seq, ring):
-    """Take in time and number of an accepted sample.
+def update_clock(leg, t_ns, seq, ring):
+    """Update the clock by time and number of an accepted sample.
 
     Returns:
         Ticks without a reading since the last one, or :data:`PAUSE`.
@@ -256,7 +256,7 @@ def follow_clock(leg, t_ns, seq, ring):
     if abs(t_ns - due_ns) <= math.floor(ON_SCHEDULE * leg.period_ns):
         anchor(leg, t_ns, seq, ring)
         if leg.jitter_square:
-            note_jitter(leg, 0.0)
+            update_jitter(leg, 0.0)
     else:
         periods = (t_ns - ring[last, 0]) / leg.period_ns
         if periods > PAUSE_PERIODS * steps:
@@ -267,7 +267,7 @@ def follow_clock(leg, t_ns, seq, ring):
             missed = max(int(periods + 2.0 - LATE_PERIODS) - 1, missed)
         off_schedule(leg, t_ns, seq, missed, periods / steps, ring)
     if min(leg.ring_n, RING) > RATE_STEPS:
-        judge_rate(leg, ring)
+        check_rate(leg, ring)
     return missed
 
 
@@ -293,11 +293,11 @@ def vote_late(leg, residual, moved, sigma):
 
 
 @compiled
-def follow_one(legs, ring, t_ns, seq, restart):
-    """Apply :func:`follow_clock` to the first leg, by itself."""
+def update_one_clock(legs, ring, t_ns, seq, restart):
+    """Apply :func:`update_clock` to the first leg, by itself."""
     if restart:
         restart_clock(legs[0])
-    return follow_clock(legs[0], t_ns, seq, ring[0])
+    return update_clock(legs[0], t_ns, seq, ring[0])
 
 
 @compiled
@@ -341,8 +341,17 @@ def compare_parts(leg, parts, swing, ended):
 
 
 @compiled
-def take_phase(leg, phase, desired, height, before, parts):
-    """Take in the phase that a sample states, its command, and the commanded foot's height in m."""
+def update_phase_parts(leg, phase, desired, height, before, parts):
+    """Add a tick to its phase's travel and fall; compare the phases, to detect swapped ones.
+
+    Args:
+        leg: its scalars.
+        phase: that the sample states.
+        desired: (J,) rad, its command.
+        height: of the commanded foot, m.
+        before: (J,) rad, the last command, changed.
+        parts: travel, peak and fall of the phases, changed.
+    """
     if phase == UNKNOWN:
         if leg.phase_part != UNKNOWN:
             restart_phase(leg, parts)
@@ -406,7 +415,7 @@ def count_turns(leg, desired, height, turn_at, turning, turns):
 
 
 @stage
-def follow_source(leg, suspects):
+def update_source_cause(leg, suspects):
     """Stop judging a leg whose readings are false or whose phases are swapped, or go on."""
     cause = leg.false_readings if leg.false_readings else PHASE if leg.swapped else NONE
     if cause == leg.cause:

@@ -115,7 +115,7 @@ def airborne(leg):
 
 
 @compiled
-def follow_load(leg):
+def update_load(leg):
     """Update the load by the push of a stance; decide by it whether the leg carries or hangs.
 
     A single push is no evidence, as a model that never learned the stance errs there; over some
@@ -173,8 +173,8 @@ def sized(size, value, count, share):
 
 
 @compiled
-def take_sizes(leg, lever, whiten):
-    """Take the sizes of free motion over from a baseline's noise: medians of normal residuals.
+def set_sizes(leg, lever, whiten):
+    """Set the sizes of free motion by a baseline's noise: medians of normal residuals.
 
     Args:
         leg: its scalars.
@@ -190,8 +190,8 @@ def take_sizes(leg, lever, whiten):
 
 
 @compiled
-def follow_range(leg):
-    """Return where the command is in the leg's own range of heights, from 0 to 1."""
+def update_range(leg):
+    """Update the range of commanded heights; return where the command is in it, from 0 to 1."""
     height = leg.command_m
     low = leg.lowest_command_m + (height - leg.lowest_command_m) * RANGE_LEAK
     high = leg.highest_command_m + (height - leg.highest_command_m) * RANGE_LEAK
@@ -201,7 +201,7 @@ def follow_range(leg):
 
 
 @stage
-def follow_state(leg, sample, swing, past, noise):
+def update_state(leg, sample, swing, past, noise):
     """Update the state by a judged tick."""
     if not (leg.has_lengths and leg.has_model) or leg.misread or leg.cause or leg.rate_off:
         leg.p, leg.touches = np.nan, False
@@ -226,9 +226,9 @@ def follow_state(leg, sample, swing, past, noise):
                 push += swing.lever[c] * off
                 arm += abs(swing.lever[c])
         square += whitened * whitened
-    share = follow_range(leg)
+    share = update_range(leg)
     if not (leg.high_ticks or leg.from_prior):
-        take_sizes(leg, swing.lever, noise.whiten[context, 0])
+        set_sizes(leg, swing.lever, noise.whiten[context, 0])
     if share > 0.5:
         leg.high_ticks += 1
         least = LEAST_QUANTA * leg.quantum * arm
@@ -246,7 +246,7 @@ def follow_state(leg, sample, swing, past, noise):
     leg.push_sum = FORGETTING * leg.push_sum + push
     leg.misfit = math.log1p(square / (over * leg.misfit_size) ** 2)
     leg.command_odds = MOST_NATS * math.tanh(STEEPNESS * (EVEN_SHARE - share))
-    follow_load(leg)
+    update_load(leg)
     leg.pressed_n = leg.pressed_n + 1 if share < 0.5 and push > PRESSED else 0
     leg.idle_n += share < 0.5
     if leg.pressed_n * leg.period_ns >= PRESSED_NS:

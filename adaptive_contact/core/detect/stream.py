@@ -211,9 +211,9 @@ class StreamGuard:
         if answer is NEXT:
             return answer
         if isinstance(answer, Reject):
-            self._follow_rival(sample, sample)
+            self._track_rival(sample, sample)
         elif before is not None and (answer.restart or answer.missed > SHORT_GAP):
-            self._follow_rival(sample, before)
+            self._track_rival(sample, before)
         return answer
 
     def _connect(self, sample: ServoSample) -> Accepted | Reject:
@@ -305,8 +305,8 @@ class StreamGuard:
         self._accepted += 1
         return Accepted(missed=0, restart=True)
 
-    def _follow_rival(self, sample: ServoSample, left: ServoSample) -> None:
-        """Follow the streams that are not in force.
+    def _track_rival(self, sample: ServoSample, left: ServoSample) -> None:
+        """Track the streams that are not in force.
 
         Args:
             sample: refused, or the first of another stream that is accepted.

@@ -1,7 +1,8 @@
-"""Follows a leg through its swing, compiled: phase, direction, and the foot's heights.
+"""Tracks a leg through its swing, compiled: phase, direction, and the foot's heights.
 
-The functions follow the commands (:func:`follow_command`) and the readings (:func:`follow_foot`)
-of one leg; judgements that are made once a swing are in ``swing_judge.py``.
+The functions follow the commands (:func:`update_commanded_foot`) and the readings
+(:func:`update_measured_foot`) of one leg; judgements that are made once a swing are in
+``swing_judge.py``.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.compiled import compiled, stage
 from adaptive_contact.core.detect.layout import ASKED, HEIGHTS, PATH_TICKS, SWINGS, copy_vector
-from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, follow_phase
+from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, infer_next_phase
 from adaptive_contact.robot.kinematics import Chain
 
 # Lengths are of a leg of 0.256 m, and in proportion for others (`Chain.size`).
@@ -74,7 +75,7 @@ def tabulate(chain: Chain) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
 
 
 # The phase, inferred from the commanded foot's height.
-infer_phase: Final = compiled(follow_phase)
+infer_phase: Final = compiled(infer_next_phase)
 
 
 @compiled
@@ -90,7 +91,7 @@ def turned(x, y, z, links, j, cos, sin):
 
 
 @compiled
-def place_any(angles, links):
+def locate_foot_of_any(angles, links):
     """Compute the place of the foot of any chain in its leg's frame, m."""
     x = y = z = 0.0
     for j in range(len(angles) - 1, -1, -1):
@@ -102,10 +103,10 @@ def place_any(angles, links):
 
 
 @compiled
-def place_foot(angles, links, axis_kinds, foot):
+def locate_foot(angles, links, axis_kinds, foot):
     """Fill the (3,) place of the foot in its leg's frame, m; see :func:`tabulate`."""
     if axis_kinds[0] == ANY:
-        foot[0], foot[1], foot[2] = place_any(angles, links)
+        foot[0], foot[1], foot[2] = locate_foot_of_any(angles, links)
         return
     pitch = yaw = x = y = z = 0.0
     along, up, ahead, aside = 1.0, 0.0, 1.0, 0.0
@@ -128,7 +129,7 @@ def height_gradient(angles, links, axis_kinds, gradient):
     """Fill (J,) m per rad, how the foot rises with each joint."""
     if axis_kinds[0] == ANY:
         # The foot from each joint, and the vertical, as the link beyond the joint sees them.
-        x, y, z = place_any(angles, links)
+        x, y, z = locate_foot_of_any(angles, links)
         u, v, w = 0.0, 0.0, 1.0
         for j in range(len(angles)):
             cos, sin = math.cos(angles[j]), -math.sin(angles[j])
@@ -207,8 +208,8 @@ def stand(leg, swing, measured, desired, awaited):
 
 
 @stage
-def follow_command(leg, swing, measured, desired, awaited):
-    """Take in a sample's phase, and in a swing the place that its command sends the foot to.
+def update_commanded_foot(leg, swing, measured, desired, awaited):
+    """Update the phase, and in a swing the place that the command sends the foot to.
 
     Where the foot is ``awaited`` to touch, a swing goes on in stance for up to 16 ticks.  The place
     of the commanded foot is in ``swing.now``, where geometry is known.
@@ -245,10 +246,10 @@ def follow_command(leg, swing, measured, desired, awaited):
         if leg.ticks == 1:
             leg.path_n = 0
             leg.path_first = leg.seq
-            place_foot(
+            locate_foot(
                 swing.last_desired if leg.has_desired else desired, links, axis_kinds, commanded
             )
-            place_foot(
+            locate_foot(
                 swing.last_measured if leg.has_measured else measured, links, axis_kinds, start
             )
             for k in range(3):
@@ -276,8 +277,8 @@ def follow_command(leg, swing, measured, desired, awaited):
 
 
 @stage
-def follow_foot(leg, swing, reading):
-    """Take in where the leg is, (J,) rad, with substitutes for bad readings."""
+def update_measured_foot(leg, swing, reading):
+    """Update where the foot is by a reading, (J,) rad, with substitutes for bad ones."""
     foot, start, now = swing.foot, swing.start, swing.now
     for j in range(len(reading)):
         swing.last_measured[j] = reading[j]
@@ -291,7 +292,7 @@ def follow_foot(leg, swing, reading):
         return
     out = foot[2] > leg.surface or leg.ticks >= SOFT_TICKS
     leg.cleared = out and (leg.rise > CLEARANCE_M * leg.leg_size or leg.ticks >= CLEAR_TICKS)
-    place_foot(reading, swing.links, swing.axis_kinds, now)
+    locate_foot(reading, swing.links, swing.axis_kinds, now)
     leg.rising = now[2] > foot[2]
     for k in range(3):
         foot[k] = now[k]

@@ -128,8 +128,8 @@ class SwingJudge:
             "are not followed; give the lengths of its links"
         )
 
-    def judge_travel(self, rollout: Rollout | None = None) -> bool | None:
-        """Judge at the top of a lift whether the foot is obstructed; None if little was asked.
+    def check_travel(self, rollout: Rollout | None = None) -> bool | None:
+        """Check at the top of a lift whether the foot is obstructed; None if little was asked.
 
         Counted from where the foot was: after a touch it starts higher than its command.
 

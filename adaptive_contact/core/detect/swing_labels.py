@@ -177,7 +177,7 @@ class SwingLabels:
         if not self._travel_judged:
             # Whether or not a tick of the lift can be learned: a foot held fast leaves none.
             self._travel_judged = True
-            obstructed = swing.judge_travel(self._rollout)
+            obstructed = swing.check_travel(self._rollout)
             if obstructed is not None:
                 ratio = swing.travel_ratio
                 found.append(LabelledSwing(Label.TRAVEL, obstructed=obstructed, travel_ratio=ratio))
@@ -188,7 +188,7 @@ class SwingLabels:
         leg.fits |= total <= UNFIT_LEVEL * (count - first)
         if swing.lifted:
             self._unobserved = 0
-            self._region = self._regions.of(batch.desired[row].tolist())
+            self._region = self._regions.region_of(batch.desired[row].tolist())
             rows = moving(self._rows(first, count))
             if len(rows) >= MIN_LIFT_ROWS:
                 region, whole = self._region, 2 * first <= count
@@ -349,7 +349,7 @@ class Regions:
     def __init__(self) -> None:
         self._first, self._last = _Range(), _Range()
 
-    def of(self, at: Sequence[float]) -> int:
+    def region_of(self, at: Sequence[float]) -> int:
         """Return the region, 0 to 5, of a command, (J,) rad."""
         return 2 * self._first.part(at[0], 3) + self._last.part(at[-1], 2)
 

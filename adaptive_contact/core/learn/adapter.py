@@ -211,7 +211,9 @@ class Adapter:
             case Label.TICK:
                 self.monitor.watch_tick(part.nis, part.way_rad)
             case Label.TRAVEL:
-                self.monitor.note_travel(obstructed=part.obstructed, travel_ratio=part.travel_ratio)
+                self.monitor.record_travel(
+                    obstructed=part.obstructed, travel_ratio=part.travel_ratio
+                )
             case Label.LIFT:
                 self._lift(part)
             case Label.DESCENT:
@@ -315,7 +317,7 @@ class Adapter:
         valid = self.monitor.status == "valid"
         if self.first is not None and self.first.end_swing(valid=valid):
             self.first = None
-        if valid and early is not None and self.early.take(early, refuted=refuted):
+        if valid and early is not None and self.early.count_swing(early, refuted=refuted):
             self.refit.drop()  # no lift shows what is wrong: rows of lifts are no judge
         self._swings += 1
         if self._swings >= REFRESH_SWINGS:
@@ -422,7 +424,7 @@ class Adapter:
         self._learned_swing |= bool(rows)
         if self._evidence is not None and not self._evidence.complete:
             self._evidence.add(rows)
-            self.monitor.note_kind(self._evidence.kind)
+            self.monitor.record_kind(self._evidence.kind)
         if self.monitor.status == "valid" and rows:
             scale = self.monitor.variance_in_force
             self.noise_tracker.count(rows, scale)

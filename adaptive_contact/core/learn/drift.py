@@ -229,15 +229,15 @@ class DriftMonitor:
         if level > FAR_LEVEL and self._known:
             return self._assess_far(rows, level, t_ns)
         self._far_swings = 0
-        self._note_free()
+        self._count_free()
         if self.obstructed:
-            self._swing_level = self._in_range(max(level, self.variance_scale))
+            self._swing_level = self._clamp_level(max(level, self.variance_scale))
             self._trusted = bool(fitting)
             return LiftAssessment(fitting)
         if level > _suspicion_limit(self._joints * len(kept)) * self.variance_scale:
             return self._suspect(rows, level, t_ns)
         self._drop_suspicions()
-        self._follow_level(level)
+        self._update_level(level)
         if self._crept():
             return self._changed(rows, t_ns)
         self._settle(level)
@@ -280,8 +280,8 @@ class DriftMonitor:
         """Drop variance scale, time and kind of a change; the status settles by lifts."""
         self.variance_scale, self._since_ns, self.kind = 1.0, None, None
 
-    def note_travel(self, *, obstructed: bool, travel_ratio: float) -> None:
-        """Note whether the foot followed its command in the lift.
+    def record_travel(self, *, obstructed: bool, travel_ratio: float) -> None:
+        """Record whether the foot followed its command in the lift.
 
         A foot that is caught and a leg that has lost its strength look alike.  Of neither is
         anything learned but a lift that the model predicts.
@@ -292,10 +292,10 @@ class DriftMonitor:
         """
         if not obstructed:
             if not self._far_swings:  # else a lift has to fit
-                self._note_free()
+                self._count_free()
         else:
             self._far_swings, self._held = 0, True
-            self._note_obstructed(
+            self._count_obstructed(
                 "held", f"the foot came {100 * travel_ratio:.0f} % of its command's way"
             )
 
@@ -322,7 +322,7 @@ class DriftMonitor:
             lifts_assessed: those, and those far off; where not saved, the model is this leg's.
             kind: of the newest change, where it is known.
         """
-        self.variance_scale, self.status, self._since_ns = self._in_range(level), status, None
+        self.variance_scale, self.status, self._since_ns = self._clamp_level(level), status, None
         self.kind = kind
         self._obstructed_swings = OBSTRUCTED_SWINGS if obstructed else 0
         self._sign = "the foot was held when the state was saved"
@@ -331,15 +331,15 @@ class DriftMonitor:
         self._swings_inflated = INFLATE_EVERY  # a suspicion that comes now is of something new
         self._lifts, self._lifts_far = lifts_assessed
 
-    def note_kind(self, kind: str | None) -> None:
-        """Note of what kind the newest change is, by its evidence so far."""
+    def record_kind(self, kind: str | None) -> None:
+        """Record the kind of the newest change, by its evidence so far."""
         self.kind = kind
 
     def _drop_suspicions(self) -> None:
         self._suspicions, self._suspected = 0, NO_ROWS
 
     def _suspect(self, rows: Rows, level: float, t_ns: int) -> LiftAssessment:
-        self._swing_level = self._in_range(level)
+        self._swing_level = self._clamp_level(level)
         self._suspicions += 1
         self._settled = 0
         self._trusted = self._suspicions >= SUSPICIONS
@@ -349,16 +349,16 @@ class DriftMonitor:
         rows, self._suspected = self._suspected.then(rows), NO_ROWS
         self.variance_scale = self._swing_level**0.5
         assessed = self._changed(rows, self._suspected_ns)
-        self._follow_level(level)
+        self._update_level(level)
         return assessed
 
     def _assess_far(self, rows: Rows, level: float, t_ns: int) -> LiftAssessment:
         """Assess a lift further off than any drift: obstructed, or, if it lasts, another leg."""
-        self._swing_level = self._in_range(level)
+        self._swing_level = self._clamp_level(level)
         self._settled = 0
         self._far_swings += 1
         sign = f"the lift is {level**0.5:.0f} times as far from the model as it should be"
-        self._note_obstructed("far", sign)
+        self._count_obstructed("far", sign)
         if self._far_swings < PATIENCE_SWINGS:
             return LiftAssessment(NO_ROWS)
         # The foot comes all its way, and each time so: a horn that slipped, another leg's horn.
@@ -367,7 +367,7 @@ class DriftMonitor:
         self._trusted = True
         return self._changed(rows, t_ns)
 
-    def _note_obstructed(self, by: Doubt, sign: str) -> None:
+    def _count_obstructed(self, by: Doubt, sign: str) -> None:
         self._obstructed_by, self._sign = by, sign
         self._obstructed_swings += 1
         self._free_swings = 0
@@ -377,7 +377,7 @@ class DriftMonitor:
             # They may be of what held the foot, and are no evidence of a change after it.
             self._drop_suspicions()
 
-    def _note_free(self) -> None:
+    def _count_free(self) -> None:
         if not self.obstructed:
             self._obstructed_swings = 0
             return
@@ -410,12 +410,12 @@ class DriftMonitor:
             self.status = "ambiguous"
         return LiftAssessment(rows, loose, first)
 
-    def _follow_level(self, level: float) -> None:
+    def _update_level(self, level: float) -> None:
         share = LEVEL_SHARE_ADAPTING if self._swings_adapting else LEVEL_SHARE
         mean = (1 - share) * self.variance_scale + share * level
-        self.variance_scale = self._in_range(mean)
+        self.variance_scale = self._clamp_level(mean)
 
-    def _in_range(self, level: float) -> float:
+    def _clamp_level(self, level: float) -> float:
         return min(max(level, self._least), LEVEL_RANGE[1])
 
     def _settle(self, level: float) -> None:
@@ -453,7 +453,7 @@ class EarlyContacts:
         """Whether nothing is in the way: the foot came down after that many of them."""
         return self.reported and sum(self._refuted) >= EARLY_BEGIN
 
-    def take(self, early: bool, *, refuted: bool = False) -> bool:
+    def count_swing(self, early: bool, *, refuted: bool = False) -> bool:
         """Count a swing; True if it is the one with which the count becomes too high."""
         self._lately.append(early)
         self._refuted.append(early and refuted)

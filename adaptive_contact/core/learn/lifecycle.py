@@ -1,7 +1,7 @@
 """Decides which model a leg begins with: a baseline, what is known of any leg, or a saved state.
 
 A refit that finds another slope of the servos' law, or a larger noise than the prior's, makes
-another beginning (:meth:`take_refit`).
+another beginning (:meth:`adopt_refit`).
 
 What is known of any leg is used where there is no baseline, or an unfit one.  From then on an
 adapter keeps the model up to date; it is made here and nowhere else.
@@ -138,8 +138,8 @@ class Lifecycle:
             return True
         return False
 
-    def take_refit(self, start: LegBaseline) -> None:
-        """Go on from what a refit has found, with a slope and a noise of its own."""
+    def adopt_refit(self, start: LegBaseline) -> None:
+        """Adopt the model of a refit, with a slope and a noise of its own."""
         before = self.adapter
         self._begin_found(start)
         if before is not None and self.adapter is not None:
@@ -173,7 +173,7 @@ class Lifecycle:
         saved, self._saved = self._saved, None
         self.start()
         if saved is not None:
-            self._take(saved)
+            self._restore_or_start(saved)
 
     def restore(self, saved: dict[str, Any]) -> str | None:
         """Take over a snapshot, whole or not at all.
@@ -181,14 +181,14 @@ class Lifecycle:
         Returns:
             None when it is in force, else one line that says why it is not.
         """
-        problem = self._take(saved)
+        problem = self._restore_or_start(saved)
         if problem is None:
             self._saved = saved
         return problem
 
     # -- private -------------------------------------------------------------------------------
 
-    def _take(self, saved: dict[str, Any]) -> str | None:
+    def _restore_or_start(self, saved: dict[str, Any]) -> str | None:
         try:
             return self._restore(saved)
         except Exception as fault:  # whatever a file holds, the leg must go on without it

@@ -90,9 +90,9 @@ class NoiseTracker:
         self._own_descents = deque[tuple[float, int]](maxlen=OWN_LIFTS)
         self._own_after = deque[tuple[float, int]](maxlen=OWN_LIFTS)
         self._shares = np.ones(3)  # of the pooled thresholds that these ask for, by direction
-        self._pooled = self._of_tails(tails)
+        self._pooled = self._thresholds_from_tails(tails)
         self.whiten: Array = noise.whiten
-        self.thresholds: Array = self._in_force()
+        self.thresholds: Array = self._compute_thresholds()
 
     def count(self, rows: Rows, scale: float = 1.0) -> None:
         """Count the largest statistics in free rows of a leg whose lifts fit.
@@ -116,7 +116,7 @@ class NoiseTracker:
         ):
             largest = float(np.fmax.reduce(rows.records["value"], initial=0.0))
             self._lifts.append(self._peaks.excess(largest, len(rows)))
-        self.thresholds = self._in_force()
+        self.thresholds = self._compute_thresholds()
 
     def _count_own(self, rows: Rows, direction: int, scale: float) -> None:
         if rows:
@@ -140,12 +140,12 @@ class NoiseTracker:
             return len(self._own_after) >= LEAST_LIFTS
         return not bool(np.isnan(self._peaks.largest[AFTER]).any())
 
-    def _of_tails(self, tails: tuple[Tail, ...]) -> Array:
+    def _thresholds_from_tails(self, tails: tuple[Tail, ...]) -> Array:
         swing = thresholds_of(tails, self._target_rate)
         awaited = thresholds_of(tails, AWAITED * self._target_rate)
         return np.array([swing, swing, awaited])
 
-    def _in_force(self) -> Array:
+    def _compute_thresholds(self) -> Array:
         """(directions, windows), of the leg's own peaks where they are known."""
         if self._peaks is None:
             return np.asarray(self._pooled * self._shares[:, None])
@@ -199,7 +199,7 @@ class NoiseTracker:
             if isinstance(kept, list) and all(map(_is_lift, kept)):
                 own.extend((ratio, ticks) for ratio, ticks in kept)
         self._share(scale)
-        self.thresholds = self._in_force()
+        self.thresholds = self._compute_thresholds()
 
 
 def _is_lift(saved: object) -> bool:

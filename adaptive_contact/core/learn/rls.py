@@ -129,7 +129,7 @@ class RecursiveLeastSquares:
         for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
             n = int(held.sum())
             own = slice(n) if factor.shape == self._s.shape else np.searchsorted(terms, index[held])
-            self._take_root(joint, factor[joint, own] / self.noise[joint])
+            self._set_root(joint, factor[joint, own] / self.noise[joint])
         self._bound()
         return True
 
@@ -204,7 +204,7 @@ class RecursiveLeastSquares:
         for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
             moves = directions[joint][:, index[held]] / self._to_raw[joint, held]
             n = int(held.sum())
-            self._take_root(joint, np.concatenate([self._s[joint, :n, :n], moves.T], axis=1))
+            self._set_root(joint, np.concatenate([self._s[joint, :n, :n], moves.T], axis=1))
         self._bound()
 
     @functools.cached_property
@@ -226,8 +226,8 @@ class RecursiveLeastSquares:
         unit = np.where(self._held, self._to_raw, np.inf)
         return np.asarray(coefficients[self._index, joints] / unit)
 
-    def _take_root(self, joint: int, root: Array) -> None:
-        """Take (n, m) for the root of a joint's covariance, as the square one that equals it."""
+    def _set_root(self, joint: int, root: Array) -> None:
+        """Set the root of a joint's covariance, (n, m), as the square one that equals it."""
         n = len(root)
         if n:
             triangle = scipy.linalg.qr(root.T, mode="r", check_finite=False)[0][:n]
