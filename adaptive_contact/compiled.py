@@ -84,7 +84,7 @@ def is_cached() -> bool:
     return folder is not None and (folder / _WHOLE).exists()
 
 
-def note_cached() -> None:
+def mark_cache_complete() -> None:
     """Mark the cache as whole and in use; remove those of versions that no longer start."""
     folder = cache_folder()
     if folder is None or not compiles():

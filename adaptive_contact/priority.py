@@ -7,7 +7,7 @@ import os
 import sys
 
 
-def take_priority(below: int = 0) -> str | None:
+def raise_priority(below: int = 0) -> str | None:
     """Run this thread, and those it makes, before all ordinary ones.
 
     Args:

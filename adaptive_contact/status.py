@@ -84,7 +84,7 @@ class LegFacts(msgspec.Struct, frozen=True, kw_only=True):
     limits_rad: list[list[float]] | None = None
 
     @classmethod
-    def of(cls, robot: Robot, leg: str) -> LegFacts:
+    def from_robot(cls, robot: Robot, leg: str) -> LegFacts:
         """Make the facts of a leg from its robot's description."""
         described = robot.leg(leg)
         limits, frame = described.limits, AngleFrame(described)

@@ -26,7 +26,7 @@ from adaptive_contact.bridge.loop import PortLoop
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.bridge.transport import Mailbox
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
-from adaptive_contact.priority import take_priority
+from adaptive_contact.priority import raise_priority
 from adaptive_contact.robot import Leg
 from adaptive_contact.wire import MSGPACK, BridgeStatus, Command, ServoSample, encode
 
@@ -172,7 +172,7 @@ def collect(
     run = time.time_ns() // 1_000_000
 
     def work(plan: PortPlan, basket: _Basket) -> None:
-        refused = take_priority() if realtime else None
+        refused = raise_priority() if realtime else None
         if refused is not None:
             say(refused)
         try:

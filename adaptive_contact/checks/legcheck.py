@@ -112,7 +112,7 @@ def check_recording(
             refused.get(leg, ()),
             seconds=0.0,
             period_s=robot.period_s,
-            facts=LegFacts.of(robot, leg),
+            facts=LegFacts.from_robot(robot, leg),
         )
     ]
     return entries([*faults, *check_twins(samples)])

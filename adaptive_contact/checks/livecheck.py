@@ -164,7 +164,7 @@ class LiveCheck:
                 list(leg.refused),
                 seconds=seconds,
                 period_s=self._robot.period_s,
-                facts=LegFacts.of(self._robot, name),
+                facts=LegFacts.from_robot(self._robot, name),
             )
             faults += [(name, fault) for fault in of_leg]
             if name in wrong:

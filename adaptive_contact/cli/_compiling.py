@@ -80,7 +80,7 @@ def compile_in_view(
     samples = link.subscribe(ALL_SERVO, lambda _: came.update(["samples"]))
     status, began_s = link.publisher(SERVICE_STATUS), time.monotonic()
     link.token(SERVICE_TOKEN)
-    legs = {leg: LegFacts.of(robot, leg) for leg in robot.leg_ids}
+    legs = {leg: LegFacts.from_robot(robot, leg) for leg in robot.leg_ids}
     with ThreadPoolExecutor(1, "compile") as pool:
         compiled = pool.submit(compile_tick, stop)
         while not compiled.done():

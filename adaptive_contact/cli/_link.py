@@ -12,7 +12,7 @@ import typer
 
 from adaptive_contact.cli._output import say_note, say_waiting
 from adaptive_contact.errors import LinkError
-from adaptive_contact.priority import take_priority
+from adaptive_contact.priority import raise_priority
 from adaptive_contact.service.settings import Finding, LinkSettings
 
 if TYPE_CHECKING:
@@ -59,6 +59,6 @@ def take_realtime(wanted: bool, below: int = 0) -> None:
         wanted: by ``--realtime``.
         below: by how much to stand back behind others that call this.
     """
-    refused = take_priority(below) if wanted else None
+    refused = raise_priority(below) if wanted else None
     if refused is not None:
         say_note(refused)

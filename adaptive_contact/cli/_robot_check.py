@@ -69,7 +69,7 @@ def check_live(
                 err=True,
             )
         with _shown(check, console, quiet=json) as look:
-            elapsed = listen(link, ALL_SERVO, seconds, check.take, stop=stop, look=look)
+            elapsed = listen(link, ALL_SERVO, seconds, check.take, stop=stop, on_poll=look)
     report = check.report(elapsed)
     if json:
         say_json(report)

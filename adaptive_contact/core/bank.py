@@ -19,7 +19,7 @@ import numpy as np
 
 from adaptive_contact.checks.leg_ids import watch_ids
 from adaptive_contact.checks.watch import watch_angles
-from adaptive_contact.compiled import note_cached
+from adaptive_contact.compiled import mark_cache_complete
 from adaptive_contact.core.detect.leg_batch import LegBatch
 from adaptive_contact.core.detect.standing import Standing
 from adaptive_contact.core.detect.stream import fault_of
@@ -334,4 +334,4 @@ def compile_ahead() -> None:
     copy_rows(batch.row_values[0], batch.rows[0], 0, 0)
     let_go_row(batch.rows[0], 0)
     close_swing(batch.rows[0], batch.row_values[0], 0, 0, 0, 0, 0, -1)
-    note_cached()
+    mark_cache_complete()

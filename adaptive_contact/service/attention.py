@@ -32,7 +32,9 @@ class Attention:
         self._counts: dict[str, int] = {}
         self._grown_ns: dict[str, int] = {}
 
-    def look(self, view: View, statuses: Mapping[str, LearnerStatus], now_ns: int) -> list[Finding]:
+    def list_findings(
+        self, view: View, statuses: Mapping[str, LearnerStatus], now_ns: int
+    ) -> list[Finding]:
         """List what needs a person, the worst first."""
         unseen = (
             (
@@ -81,7 +83,7 @@ class Attention:
 def _faults(
     view: View, service: ServiceStatus, statuses: Mapping[str, LearnerStatus]
 ) -> Iterator[tuple[str | None, Fault]]:
-    for fault in _of_service(service):
+    for fault in _list_service_faults(service):
         yield None, fault
     for leg in view.legs:
         status = statuses.get(leg.leg)
@@ -98,7 +100,7 @@ def _faults(
     yield from all_lost(statuses.values(), service)
 
 
-def _of_service(service: ServiceStatus) -> Iterator[Fault]:
+def _list_service_faults(service: ServiceStatus) -> Iterator[Fault]:
     if service.note is not None:
         yield Fault("error", "service", service.note, "As it says.", key="note")
     for key, question in service.strays.items():

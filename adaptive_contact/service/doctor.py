@@ -86,7 +86,7 @@ class Examination:
     service: tuple[ServiceStatus, ServiceStatus] | None = None
     uncounted_keys: int = 0
 
-    def take(self, received: Received) -> None:
+    def process_message(self, received: Received) -> None:
         """Process one message."""
         meter = self.meters.get(received.key)
         if meter is None:
@@ -126,7 +126,7 @@ def examine(link: Link, seconds: float) -> Diagnosis:
         seconds: how long; 3 s are enough for 50 Hz.
     """
     seen = Examination()
-    elapsed = listen(link, "**", seconds, seen.take)
+    elapsed = listen(link, "**", seconds, seen.process_message)
     reach = link.diagnose()
     return diagnose(
         seen,

@@ -67,7 +67,7 @@ class EventPublisher:
 
     def start(self) -> None:
         """Send on a thread from now on."""
-        self._thread = threading.Thread(target=self._work, name="outbox", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="outbox", daemon=True)
         self._thread.start()
 
     def close(self, timeout_s: float = 0.5) -> None:
@@ -93,7 +93,7 @@ class EventPublisher:
     def post(self, publisher: Publisher, message: Message, arrival_ns: int) -> None:
         """Send a message; waits for nothing once the thread runs."""
         if self._thread is None:
-            self._put(publisher, message, arrival_ns)
+            self._publish(publisher, message, arrival_ns)
             return
         with self._changed:
             if self._ending:  # the sender may be gone
@@ -130,16 +130,16 @@ class EventPublisher:
         who = _SUBSCRIBER if self._held_ns() >= now_ns - for_ns else _COMPUTER
         return f"{who} has held up contact events for {for_ns / 1e9:.1f} s"
 
-    def _work(self) -> None:
+    def _run(self) -> None:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: bool(self._queue) or self._ending)
                 if not self._queue:
                     return
                 letter = self._queue.popleft()
-            self._put(*letter)
+            self._publish(*letter)
 
-    def _put(self, publisher: Publisher, message: Message, arrival_ns: int) -> None:
+    def _publish(self, publisher: Publisher, message: Message, arrival_ns: int) -> None:
         began_ns = self._putting_since_ns = time.monotonic_ns()
         try:
             publisher.put(message)

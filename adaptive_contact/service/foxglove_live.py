@@ -112,7 +112,7 @@ class FoxgloveServer:
         while not stop.is_set():
             with contextlib.suppress(queue.Empty):
                 self._show_received(self._waiting.get(timeout=0.1))
-            for event in self._known.look(time.monotonic_ns()):
+            for event in self._known.poll_events(time.monotonic_ns()):
                 self._show(contact_key(event.leg), event, time.time_ns())
 
     def _enqueue(self, received: Received) -> None:

@@ -49,11 +49,11 @@ class KnownContacts:
         """Process an event; return what may be passed on."""
         self._last[event.leg] = event
         if not self.is_known(event.leg, now_ns):
-            return self.look(now_ns)
+            return self.poll_events(now_ns)
         self._withdrawn.discard(event.leg)
         return [event]
 
-    def look(self, now_ns: int) -> list[ContactEvent]:
+    def poll_events(self, now_ns: int) -> list[ContactEvent]:
         """Return events of legs whose state became unknown or known; call it ten times a second."""
         found = []
         for leg, last in self._last.items():

@@ -53,7 +53,7 @@ class Downtime:
         self.before = before
         self._first_seq = self._in_order = 0  # number of the stream's first sample, its samples
 
-    def follow(self, sample: ServoSample, *, restart: bool) -> None:
+    def update(self, sample: ServoSample, *, restart: bool) -> None:
         """Update by an accepted sample; a long gap counts once a stream confirms it."""
         before = self.before
         if before is None:
@@ -84,7 +84,7 @@ class JointAvailability:
         self._joints = joints
         self._mute_since_ns: dict[int, int] = {}  # by number of the joint, from 1
 
-    def follow(self, valid: list[bool] | None, now_ns: int) -> bool:
+    def update(self, valid: list[bool] | None, now_ns: int) -> bool:
         """Update from the validity of a sample's readings, (J,); return whether any is valid."""
         mute = [joint for joint, good in enumerate(valid or (), start=1) if not good]
         self._mute_since_ns = {joint: self._mute_since_ns.get(joint, now_ns) for joint in mute}
@@ -149,7 +149,7 @@ class LegEndpoint:
         self._throttle = LogThrottle()
         self._faults = LogThrottle(60.0)
 
-    def note_sample(self, sample: ServoSample, now_ns: int) -> Reject | None:
+    def count_sample(self, sample: ServoSample, now_ns: int) -> Reject | None:
         """Count a readable sample that the learner has just been given.
 
         Returns:
@@ -160,9 +160,9 @@ class LegEndpoint:
         if isinstance(answer, Reject):
             self._unused, self._unused_ns = answer, now_ns
             return answer
-        self._downtime.follow(sample, restart=answer.restart)
+        self._downtime.update(sample, restart=answer.restart)
         self._used_ns = now_ns
-        if not self._answers.follow(sample.valid, now_ns):
+        if not self._answers.update(sample.valid, now_ns):
             return None
         self._seen_ns, self._seen_t_ns = now_ns, sample.t_ns
         if self._token is None:
@@ -232,7 +232,7 @@ class LegEndpoint:
 
     def status(self, now_ns: int) -> LearnerStatus:
         """Return the learner's status, with silence and refused payloads added."""
-        status = self._ask(lambda: self.learner.status)
+        status = self._call_learner(lambda: self.learner.status)
         missed_down = self._downtime.missed
         if missed_down:
             status = msgspec.structs.replace(status, missed=status.missed + missed_down)
@@ -272,10 +272,10 @@ class LegEndpoint:
 
     def report(self) -> ModelReport | None:
         """Return the leg's model; None before there is one."""
-        return self._ask(lambda: self.learner.model_report)
+        return self._call_learner(lambda: self.learner.model_report)
 
-    def _ask(self, question: Callable[[], T]) -> T:
-        """Ask the learner; one that raises is reset, and asked again."""
+    def _call_learner(self, question: Callable[[], T]) -> T:
+        """Call the learner; one that raises is reset, and called again."""
         try:
             return question()
         except Exception as fault:  # of one leg, which must not end the others' service

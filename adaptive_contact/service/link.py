@@ -82,10 +82,10 @@ def listen(
     link: Link,
     key_expr: str,
     seconds: float,
-    take: Callable[[Received], None],
+    on_message: Callable[[Received], None],
     *,
     stop: threading.Event | None = None,
-    look: Callable[[], None] = lambda: None,
+    on_poll: Callable[[], None] = lambda: None,
 ) -> float:
     """Process what arrives for a while, on the caller's thread.
 
@@ -93,9 +93,9 @@ def listen(
         link: open.
         key_expr: of what is taken.
         seconds: how long.
-        take: called with each message; of a flood the oldest are dropped.
+        on_message: called with each message; of a flood the oldest are dropped.
         stop: ends it earlier.
-        look: called twenty times a second.
+        on_poll: called twenty times a second.
 
     Returns:
         How long it has listened, s.
@@ -110,8 +110,8 @@ def listen(
         if not more:
             declared.close()
         for _ in range(len(waiting)):
-            take(waiting.popleft())
-        look()
+            on_message(waiting.popleft())
+        on_poll()
     return time.monotonic() - began
 
 

@@ -37,8 +37,8 @@ class UnreadKeys:
         self._found: dict[str, str] = {}  # filled on Zenoh's thread
         self._throttle = LogThrottle()
 
-    def look(self, *, lonely: bool, now_ns: int) -> dict[str, str]:
-        """Return each key without a reader, with what was probably meant."""
+    def check_keys(self, *, lonely: bool, now_ns: int) -> dict[str, str]:
+        """Check for keys without a reader; return each with what was probably meant."""
         if lonely and not self._listening:
             # Keys that look like those of samples.  Others, such as a camera's pictures, are not
             # asked for.
@@ -82,8 +82,8 @@ class NetworkHealth:
         self._connected = True
         link.subscribe(SERVICE_STATUS, self._receive)
 
-    def look(self, now_ns: int) -> None:
-        """Check the network, if it is time."""
+    def check_network(self, now_ns: int) -> None:
+        """Check the network once a second."""
         if now_ns < self._due_ns:
             return
         self._due_ns = now_ns + 1_000_000_000
@@ -106,7 +106,7 @@ class NetworkHealth:
         if not connected and (
             self._throttle.passes("router", now_ns) is not None or self._connected
         ):
-            threading.Thread(target=self._say_why, name="why", daemon=True).start()
+            threading.Thread(target=self._log_cause, name="why", daemon=True).start()
         self._connected = connected
         self._joined |= connected
 
@@ -130,6 +130,6 @@ class NetworkHealth:
             "every event comes twice; stop one of them, or give each robot a --namespace"
         )
 
-    def _say_why(self) -> None:
+    def _log_cause(self) -> None:
         what = "router lost, reconnecting" if self._joined else "router not joined yet, trying on"
         _log.warning(what, why=self._link.diagnose().line)

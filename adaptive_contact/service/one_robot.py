@@ -59,7 +59,7 @@ class OneRobot:
             if key in self._strays:
                 self._strays[key] += 1
             if key.endswith("/servo"):
-                self._look_at(key, record)
+                self._add_record(key, record)
             yield record if key == record.key else record._replace(key=key)
 
     def _own(self, key: str) -> str | None:
@@ -76,7 +76,7 @@ class OneRobot:
             return None
         return key[key.index("robot/leg/") :]
 
-    def _look_at(self, key: str, record: Record) -> None:
+    def _add_record(self, key: str, record: Record) -> None:
         leg = leg_of_key(key)
         if leg is None:
             return
@@ -135,7 +135,8 @@ class OneRobot:
         spoilt = {
             leg
             for leg, fault in self.faults(robot)
-            if fault.cause in causes and (fault.cause not in counted or self._in_many(leg, fault))
+            if fault.cause in causes
+            and (fault.cause not in counted or self._is_frequent(leg, fault))
         }
         return bool(legs) and spoilt.issuperset(legs)
 
@@ -147,7 +148,7 @@ class OneRobot:
 
     def _check(self, robot: Robot) -> Iterator[tuple[str, Fault]]:
         for leg, samples in self._samples.items():
-            facts = LegFacts.of(robot, leg) if leg in robot.leg_ids else None
+            facts = LegFacts.from_robot(robot, leg) if leg in robot.leg_ids else None
             faults = check_leg(
                 leg,
                 samples,
@@ -159,8 +160,8 @@ class OneRobot:
             for fault in faults:
                 # A number that is there twice, once, is not why a recording cannot be used.
                 once = fault.cause == "seq" and fault.key != "wrap"
-                if fault.cause in _NAMED and (not once or self._in_many(leg, fault)):
+                if fault.cause in _NAMED and (not once or self._is_frequent(leg, fault)):
                     yield leg, fault
 
-    def _in_many(self, leg: str, fault: Fault) -> bool:
+    def _is_frequent(self, leg: str, fault: Fault) -> bool:
         return fault.size > 0.4 * len(self._samples[leg])

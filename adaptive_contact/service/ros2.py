@@ -77,7 +77,7 @@ class Inbox:
         self._order: collections.deque[str] = collections.deque()
         self._awake = threading.Condition()
 
-    def put(self, received: Received) -> None:
+    def add(self, received: Received) -> None:
         """Add a message, where it is one of a topic that is read; called on Zenoh's threads."""
         address = rmw.address_of(received.key)
         if address is None or address.topic not in self._waiting:
@@ -99,7 +99,7 @@ class Inbox:
                 return None
             return self._waiting[self._order.popleft()].popleft()
 
-    def take_dropped(self) -> dict[str, int]:
+    def pop_dropped(self) -> dict[str, int]:
         """Return and reset the number of dropped messages, by topic."""
         with self._awake:
             dropped, self._dropped = dict(self._dropped), collections.Counter()
@@ -136,7 +136,7 @@ class Gateway:
         service: link to the service's router.
         ros: link to ROS 2's router.
         run: of the samples, larger at each start.
-        say: takes one line for the operator.
+        print_line: called with one line for the operator.
 
     Attributes:
         topics: that are read, and the types that each may have.
@@ -148,10 +148,10 @@ class Gateway:
     """
 
     def __init__(
-        self, robot: Robot, service: Link, ros: Link, run: int, say: Callable[[str], None]
+        self, robot: Robot, service: Link, ros: Link, run: int, print_line: Callable[[str], None]
     ) -> None:
         settings = robot.ros2
-        self._say = say
+        self._print_line = print_line
         self._service, self._ros = service, ros
         self.complaints = Complaints()
         self.relayed = 0
@@ -221,12 +221,12 @@ class Gateway:
         self._diagnostics = _RosPublisher(ros, node, next(numbers), report.diagnostics)
         self._states = _RosPublisher(ros, node, next(numbers), report.states, latched=False)
         for topic, types in self.topics.items():
-            ros.subscribe(rmw.any_type(node.domain, topic), self._inbox.put)
+            ros.subscribe(rmw.any_type(node.domain, topic), self._inbox.add)
             if len(types) == 1:
                 self._show(rmw.Address(topic, types[0], self._types.hash_of(types[0])))
         self._service.subscribe(HEARTBEAT, self._contacts.put)
         self._service.subscribe(ALL_CONTACT, self._contacts.put, history=True)
-        self._service.subscribe(ALL_LEARNER, self.note_learner)
+        self._service.subscribe(ALL_LEARNER, self.store_status)
 
     def _show(self, address: rmw.Address) -> None:
         """Declare subscriptions to the graph; of several types, the one that is received."""
@@ -235,7 +235,7 @@ class Gateway:
             number = next(self._numbers)
             self._ros.token(self._node.endpoint_token("MS", number, address, rmw.STREAM))
 
-    def note_learner(self, received: Received) -> None:
+    def store_status(self, received: Received) -> None:
         """Store the newest status of a leg's learner, for the diagnostics."""
         status = message_of(received)
         if isinstance(status, LearnerStatus) and status.leg in self._legs:
@@ -295,7 +295,7 @@ class Gateway:
         elif isinstance(message, ContactEvent) and message.leg in self._of_leg:
             self.events += 1
             events = self._known.event(message, now_ns)
-        events += self._known.look(now_ns)
+        events += self._known.poll_events(now_ns)
         try:
             if isinstance(message, LegState) and received is not None:
                 leg = leg_of_key(received.key)
@@ -312,7 +312,7 @@ class Gateway:
                 self._values.put(self._report.all_legs(sampled, self._valid(now_ns)))
         except LinkError as error:
             if not stop.is_set():
-                self._say(str(error))
+                self._print_line(str(error))
 
     def _valid(self, now_ns: int) -> frozenset[str]:
         return frozenset(leg for leg in self._legs if self._known.is_known(leg, now_ns))
@@ -324,8 +324,8 @@ class Gateway:
         reported: str | None = None
         while not stop.wait(1.0):
             for _ in range(self._lines.qsize()):
-                self._say(self._lines.get())
-            for topic, times in self._inbox.take_dropped().items():
+                self._print_line(self._lines.get())
+            for topic, times in self._inbox.pop_dropped().items():
                 for _ in range(times):
                     self._complain(
                         topic,
@@ -337,14 +337,14 @@ class Gateway:
             silent = self.intake.silent if now_s >= silent_s else ()
             if silent:
                 silent_s = now_s + 50.0
-                self._say(
+                self._print_line(
                     f"no sample of legs {', '.join(silent)} yet; compare the topics of robot.toml "
                     "with `ros2 topic list -t`"
                 )
             trouble = self._trouble(now_s - begun_s)
             if trouble != reported:
                 reported = trouble
-                self._say(trouble or "the service and ROS 2 are there")
+                self._print_line(trouble or "the service and ROS 2 are there")
             try:
                 # The states of all legs are asked for while somebody in ROS 2 subscribes to them.
                 if self._states.matched and self._asked_states is None:

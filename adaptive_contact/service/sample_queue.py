@@ -86,7 +86,7 @@ class SampleQueue(Generic[R]):
         with self._awake:
             self._queues[leg] = deque()
 
-    def ask(self, request: R) -> bool:
+    def add_request(self, request: R) -> bool:
         """Queue a query; return False where too many wait already."""
         with self._awake:
             # Queries waiting for the worker; an asker beyond them is refused at once.
@@ -96,8 +96,8 @@ class SampleQueue(Generic[R]):
             self._awake.notify()
         return True
 
-    def take(self, timeout_s: float, *, query: bool = True) -> Batch[R]:
-        """Return what waits, or wait for it.
+    def pop_batch(self, timeout_s: float, *, query: bool = True) -> Batch[R]:
+        """Remove and return what waits, or wait for it.
 
         Args:
             timeout_s: longest wait; 0 or less does not wait.

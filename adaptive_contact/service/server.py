@@ -168,14 +168,14 @@ class Service:
             joints, learner = len(leg.joints), bank.make(leg.id, len(leg.joints))
             bank.add(learner)
             self._endpoints[leg.id] = self._endpoint(leg.id, learner, joints, now_ns)
-            self._facts[leg.id] = LegFacts.of(robot, leg.id)
+            self._facts[leg.id] = LegFacts.from_robot(robot, leg.id)
         # What the first sample would wait for: a codec's first of a process takes half a ms.
         bank.learn_from_tick()
         decode(encode(ServoSample(t_ns=0, seq=0, measured=[0.0], desired=[0.0])), ServoSample)
         for key in map(servo_key, robot.leg_ids) if described_only else (ALL_SERVO,):
             link.subscribe(key, self._queue.offer)
-        link.queryable(model_key("*"), self._ask)
-        link.queryable(trace_key("*"), self._ask_trace)
+        link.queryable(model_key("*"), self._queue_request)
+        link.queryable(trace_key("*"), self._queue_trace_request)
         link.token(SERVICE_TOKEN)
 
     def run(self, stop: threading.Event) -> None:
@@ -188,9 +188,9 @@ class Service:
                 wait_s = min(max(self._look_ns - time.monotonic_ns(), 0), _LOOK_NS) / 1e9
                 # A snapshot takes milliseconds: it waits for a pause between two control ticks, if
                 # there is one.
-                batch = self._queue.take(0.003 if self._to_save else wait_s)
+                batch = self._queue.pop_batch(0.003 if self._to_save else wait_s)
                 if batch:
-                    self.work(batch, time.monotonic_ns())
+                    self.process_batch(batch, time.monotonic_ns())
                     # A tick's samples take at most as many rounds as there are legs, this one
                     # included.  Learning waits for the last.  If a leg's next sample is there
                     # already, the worker is behind: then statuses and saves must not wait longer.
@@ -198,16 +198,16 @@ class Service:
                     for _ in range(max(1, len(self._endpoints) - 1)):
                         # They come one right after the other, and sending events needs the core
                         # more than learning does.
-                        more = self._queue.take(0.001, query=False)
+                        more = self._queue.pop_batch(0.001, query=False)
                         if not more:
                             break
-                        self.work(more, time.monotonic_ns())
+                        self.process_batch(more, time.monotonic_ns())
                         if not legs.isdisjoint(more.samples):
                             break
                         legs |= more.samples.keys()
-                    self.finish()
+                    self.complete_batch()
                 self.save(time.monotonic_ns(), pause=not batch)
-                self.look(time.monotonic_ns())
+                self.publish_due(time.monotonic_ns())
                 if self._sweeper is not None:
                     self._sweeper.sweep(time.monotonic_ns(), pause=bool(batch))
             self._end(time.monotonic_ns())
@@ -218,8 +218,8 @@ class Service:
             if self._keeper is not None:
                 self._keeper.close()
 
-    def work(self, batch: Batch[Request], now_ns: int) -> None:
-        """Process one round, up to its events."""
+    def process_batch(self, batch: Batch[Request], now_ns: int) -> None:
+        """Process one round of messages, up to its events."""
         for leg, dropped in batch.overflow.items():
             flooded = self._endpoints.get(leg)
             if flooded is None:
@@ -248,8 +248,8 @@ class Service:
             self._newcomer(leg, batch.samples[leg], now_ns)
         self._asked += batch.requests
 
-    def finish(self) -> None:
-        """Learn from what was worked on, once its events are on their way, and answer queries."""
+    def complete_batch(self) -> None:
+        """Publish states, learn from the round once its events are on their way, answer queries."""
         for publisher, state in self._states:
             publisher.put(state)
         self._states.clear()
@@ -274,18 +274,18 @@ class Service:
             self._to_save.popleft()
             self._keeper.snapshot(endpoint, now_ns)
 
-    def look(self, now_ns: int) -> None:
-        """Publish the statuses that are due, and watch the router; cheap when nothing is."""
+    def publish_due(self, now_ns: int) -> None:
+        """Publish the statuses that are due, and check the network; cheap when nothing is due."""
         # One leg at a time: a status takes 0.1 ms, and an event must not wait for six of them.
         pause_ns = _LOOK_NS // max(1, len(self._endpoints))
         for _ in range(len(self._endpoints)):
             if now_ns < self._look_ns:
                 break
             self._look_ns += pause_ns
-            self._look_at(self._visited, now_ns)
+            self._visit_leg(self._visited, now_ns)
             self._visited = (self._visited + 1) % len(self._endpoints)
         self._look_ns = max(self._look_ns, now_ns)
-        self._network.look(now_ns)
+        self._network.check_network(now_ns)
         self._welcome()
         if now_ns >= self._note_ns:
             self._note_ns = now_ns + _LOOK_NS
@@ -300,7 +300,7 @@ class Service:
             self._status_ns = now_ns + 1_000_000_000
             endpoints = (self._endpoints.get(leg) for leg in self._robot.leg_ids)
             lonely = any(one is not None and not one.received_samples for one in endpoints)
-            self._stray_keys = self._strays.look(lonely=lonely, now_ns=now_ns)
+            self._stray_keys = self._strays.check_keys(lonely=lonely, now_ns=now_ns)
             self._status.put(self.status(now_ns))
 
     def status(self, now_ns: int) -> ServiceStatus:
@@ -380,7 +380,7 @@ class Service:
         used = []
         for leg, sample in samples.items():
             endpoint = self._endpoints[leg]
-            refused = endpoint.note_sample(sample, now_ns)
+            refused = endpoint.count_sample(sample, now_ns)
             if refused is not None:
                 self._warn("payload refused", refused, now_ns, leg=leg)
                 continue
@@ -468,7 +468,7 @@ class Service:
             self._endpoints[leg] = endpoint
             self._queue.open(leg)
 
-    def _look_at(self, at: int, now_ns: int) -> None:
+    def _visit_leg(self, at: int, now_ns: int) -> None:
         endpoint = next(itertools.islice(self._endpoints.values(), at, None))
         self._post(endpoint.withdraw(now_ns), now_ns)
         changed = endpoint.publish_status(now_ns)
@@ -495,15 +495,15 @@ class Service:
         self._publisher.close()  # first: what it cannot send any more is to be reported
         self._status.put(self.status(time.monotonic_ns()))
 
-    def _ask(self, request: Request) -> None:
-        if not self._queue.ask(request):
+    def _queue_request(self, request: Request) -> None:
+        if not self._queue.add_request(request):
             request.refuse("too many queries at once; ask again")
 
-    def _ask_trace(self, request: Request) -> None:
+    def _queue_trace_request(self, request: Request) -> None:
         if not request.key.endswith(_TRACE):  # who asks for everything looks at no page
             request.close()
         else:
-            self._ask(request)
+            self._queue_request(request)
 
     def _refuse(self, reason: Reject, now_ns: int, times: int = 1, **facts: str) -> None:
         """Count what belongs to no leg."""

@@ -54,7 +54,7 @@ class LinkSockets:
         # Of sockets with something to send: bytes acknowledged, and since when they are as many.
         self._queued: dict[int, tuple[int, int]] = {}
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="link-sockets", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="link-sockets", daemon=True)
 
     def start(self) -> None:
         """Check the sockets ten times a second from now on."""
@@ -76,7 +76,7 @@ class LinkSockets:
         """
         self._busy_ns, self._on_miss = busy_ns, on_miss
 
-    def look(self, now_ns: int) -> None:
+    def check_sockets(self, now_ns: int) -> None:
         """Check the sockets once; ``now_ns`` is monotonic."""
         sockets = _sockets()
         for inode, number in sockets.items():
@@ -113,11 +113,11 @@ class LinkSockets:
         self._queued = queued
         return [inode for inode, (_, since) in queued.items() if now_ns - since >= STUCK_NS]
 
-    def _work(self) -> None:
+    def _run(self) -> None:
         # A link that is cut before the first look can still block a receiving thread for 10 s.
         while not self._stop.wait(0.1):
             try:
-                self.look(time.monotonic_ns())
+                self.check_sockets(time.monotonic_ns())
             except OSError:  # no /proc, or no descriptor left
                 return
 

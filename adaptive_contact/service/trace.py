@@ -142,8 +142,8 @@ class TraceReader:
         self._link = link
         self._number = -1  # of the newest tick
 
-    def ask(self) -> list[LegTrace]:
-        """Return what is new of each leg; empty where no service answers.
+    def query_new(self) -> list[LegTrace]:
+        """Query what is new of each leg; empty where no service answers.
 
         Raises:
             LinkError: the link is closed.

@@ -132,7 +132,7 @@ class _Truth:
             self.loaded_since_ns = None
         self.released_ns = truth.t_ns
 
-    def judge(self, event: ContactEvent) -> None:
+    def match_event(self, event: ContactEvent) -> None:
         if self.began_ns is None or event.t_ns <= self.began_ns + _DETECTION_NS:
             return
         for touch in reversed(self.touches):  # it belongs to the one that it follows most closely
@@ -262,7 +262,7 @@ class Watch:
         view = self._leg(leg)
         if view.truth is None:
             view.truth = _Truth()
-        self._judge(view, now_ns)
+        self._match_pending(view, now_ns)
         judged = self._service is None or self._service.instance != ""  # else it compiles yet
         view.truth.change(truth, now_ns, judged=judged)
 
@@ -287,7 +287,7 @@ class Watch:
         """Return the last status of every leg."""
         return {name: leg.status for name, leg in self._legs.items() if leg.status is not None}
 
-    def take_verdicts(self) -> list[tuple[str, Verdict]]:
+    def pop_verdicts(self) -> list[tuple[str, Verdict]]:
         """Return and reset the verdicts since the last call, by leg; the newest of many."""
         taken: list[tuple[str, Verdict]] = []
         for name, leg in self._legs.items():
@@ -300,7 +300,7 @@ class Watch:
         return self._legs.setdefault(name, _Leg())
 
     def _row(self, name: str, leg: _Leg, now_ns: int) -> LegView:
-        self._judge(leg, now_ns)
+        self._match_pending(leg, now_ns)
         status, truth = leg.status, leg.truth
         known = self.known.is_known(name, now_ns)
         row = LegView(
@@ -346,7 +346,7 @@ class Watch:
             stale=now_ns - leg.status_ns > 2_500_000_000,
         )
 
-    def _judge(self, leg: _Leg, now_ns: int) -> None:
+    def _match_pending(self, leg: _Leg, now_ns: int) -> None:
         if leg.truth is None:
             # Without truth there is nothing to judge by; only the newest events may yet get it.
             leg.pending = leg.pending[-4:]
@@ -354,7 +354,7 @@ class Watch:
         ripe = [pair for pair in leg.pending if now_ns - pair[0] >= _JUDGE_AFTER_NS]
         leg.pending = [pair for pair in leg.pending if now_ns - pair[0] < _JUDGE_AFTER_NS]
         for _, event in ripe:
-            leg.truth.judge(event)
+            leg.truth.match_event(event)
         leg.truth.give_up(now_ns)
 
 
@@ -403,11 +403,11 @@ class Feed:
     def view(self, now_ns: int) -> View:
         """Process what has arrived, and return what is known now; ``now_ns`` is monotonic."""
         for _ in range(len(self._waiting)):
-            self._take(self._waiting.popleft())
-        self._pass_on(self.watch.known.look(now_ns))
+            self._process_message(self._waiting.popleft())
+        self._pass_on(self.watch.known.poll_events(now_ns))
         return self.watch.view(now_ns, alive=self._alive, connected=self._link.is_connected())
 
-    def _take(self, received: Received) -> None:
+    def _process_message(self, received: Received) -> None:
         message = message_of(received)
         leg = leg_of_key(received.key)
         if isinstance(message, ServiceStatus):

@@ -77,7 +77,7 @@ class Watchdog:
         self._blocked = False
         self._blocked_looks = 0  # in a row with a put under way
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="watchdog", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="watchdog", daemon=True)
         self._reports: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._reporter = threading.Thread(target=self._report, name="stalls", daemon=True)
 
@@ -95,31 +95,33 @@ class Watchdog:
             if thread.is_alive():
                 thread.join(2 * LOOK_S)
 
-    def look(self, now_ns: int) -> None:
+    def check(self, now_ns: int) -> None:
         """Check the worker once; ``now_ns`` is monotonic."""
         before_s, self._looked_s = self._looked_s, self._clock_s()
         stopped_s = self._looked_s - before_s - LOOK_S
         if stopped_s >= STALL_S:
             self.stalls += 1
             why = "it was stopped or suspended, or got no core"
-            self._say(lambda: _log.warning("process stood still", for_s=stopped_s, why=why))
-        self._look_at_worker()
+            self._queue_report(
+                lambda: _log.warning("process stood still", for_s=stopped_s, why=why)
+            )
+        self._check_worker()
         blocked_s = self._blocked_ns(now_ns) / 1e9
         blocked = blocked_s >= 2 * LOOK_S
         if blocked and not self._blocked:
-            self._say(lambda: _log.warning("contact events are held up"))
+            self._queue_report(lambda: _log.warning("contact events are held up"))
         self._blocked = blocked
         self._blocked_looks = self._blocked_looks + 1 if blocked else 0
         if self._blocked_looks == self._last_look:  # Zenoh drops who hangs, and then it ends
             _try(lambda: _log.critical("an event could not be sent, ending", for_s=blocked_s))
             self._on_end()
 
-    def _look_at_worker(self) -> None:
+    def _check_worker(self) -> None:
         beat = self._beat()
         if beat != self._seen:
             stood_s = self._still * LOOK_S
             if stood_s >= STALL_S:
-                self._say(lambda: _log.warning("worker goes on", stood_still_s=stood_s))
+                self._queue_report(lambda: _log.warning("worker goes on", stood_still_s=stood_s))
             self._seen, self._still = beat, 0
             return
         self._still += 1
@@ -131,12 +133,12 @@ class Watchdog:
             return
         if still_s == STALL_S:
             self.stalls += 1
-            self._say(lambda: _log.error("worker stands still", for_s=still_s))
+            self._queue_report(lambda: _log.error("worker stands still", for_s=still_s))
         # While the last report is under way, this one would only be old by its turn.
         if self._reports.empty():
-            self._say(lambda: self._on_stall(still_s))
+            self._queue_report(lambda: self._on_stall(still_s))
 
-    def _say(self, what: Callable[[], None]) -> None:
+    def _queue_report(self, what: Callable[[], None]) -> None:
         """Queue a report for the reporting thread; without one, report at once."""
         if self._reporter.ident is None:
             what()
@@ -147,9 +149,9 @@ class Watchdog:
         while (what := self._reports.get()) is not None:
             what()
 
-    def _work(self) -> None:
+    def _run(self) -> None:
         while not self._stop.wait(LOOK_S):
-            self.look(time.monotonic_ns())
+            self.check(time.monotonic_ns())
 
 
 def give_up() -> None:

@@ -83,13 +83,13 @@ def worth(
     found = {}
     for leg_id, stretches in held_out.items():
         if leg_id in baseline.legs:
-            of_leg = _of_leg(robot, robot.leg(leg_id), baseline, stretches)
+            of_leg = _replay_leg(robot, robot.leg(leg_id), baseline, stretches)
             if all(total for _, total in of_leg.stops.values()):
                 found[leg_id] = of_leg
     return found
 
 
-def _of_leg(robot: Robot, leg: Leg, baseline: Baseline, stretches: Sequence[Stretch]) -> Worth:
+def _replay_leg(robot: Robot, leg: Leg, baseline: Baseline, stretches: Sequence[Stretch]) -> Worth:
     """Replay the stretches of one leg, with stops."""
     learner = ContactLearner(robot, leg.id, baseline)
     draw = np.random.default_rng(len(stretches))

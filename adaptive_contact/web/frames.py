@@ -186,7 +186,7 @@ class Table:
             found = [] if waiting is None else [waiting]
             table: dict[str, Any] = {"legs": [], "banner": _banner(found)}
         else:
-            found = self._attention.look(view, statuses, now_ns)
+            found = self._attention.list_findings(view, statuses, now_ns)
             legs = [_leg(leg, statuses.get(leg.leg), view) for leg in view.legs]
             table = {"legs": legs, "banner": _banner(found), "service": _service(view)}
         table |= {"clock_ms": self._clock_ms, "recording": recording}

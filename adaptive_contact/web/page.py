@@ -179,7 +179,7 @@ class LivePage:
             view = self._view
             if feed is not None:
                 view = self._view = feed.view(time.monotonic_ns())
-                self._frames.verdicts(feed.watch.take_verdicts())
+                self._frames.verdicts(feed.watch.pop_verdicts())
                 statuses = feed.watch.statuses()
             for _ in range(len(self._traces)):
                 self._frames.trace(*self._traces.popleft())
@@ -204,5 +204,5 @@ class LivePage:
             if self._reader is None or view is None or not view.alive or not view.connected:
                 continue
             with contextlib.suppress(LinkError):
-                traces = self._reader.ask()
+                traces = self._reader.query_new()
                 self._traces.extend((trace, time.monotonic_ns()) for trace in traces)

@@ -88,7 +88,7 @@ class Recordings:
         if recorder is None or not self._running:
             raise RecordingError("nothing is being recorded")
         mark = Mark(t_ns=t_ns, label=printable(label[:80]))
-        recorder.put(MARK, encode(mark), MSGPACK)
+        recorder.record_message(MARK, encode(mark), MSGPACK)
 
     def state(self) -> dict[str, Any]:
         """Return the newest recording's file, size, length and whether it runs, for the page."""

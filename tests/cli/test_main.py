@@ -108,7 +108,7 @@ def test_a_first_start_says_how_long_it_compiles_and_how_long_it_took(
     if not compiles():
         pytest.skip("nothing is compiled here")
     work = "import time\nwhile time.process_time() < 2.0: pass\n"
-    mark = "from adaptive_contact.compiled import note_cached; note_cached()"
+    mark = "from adaptive_contact.compiled import mark_cache_complete; mark_cache_complete()"
     monkeypatch.setattr(_compiling, "_CODE", work + mark)
     monkeypatch.setattr("adaptive_contact.core.bank.compile_ahead", lambda: None)
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))

@@ -137,7 +137,7 @@ def test_doctor_sends_nothing_of_the_wire(text: str, capsys: pytest.CaptureFixtu
     ):
         for encoding in (MSGPACK, JSON, text):
             for payload in (_sample(1), _sample(1, v=text), text.encode()):
-                heard.take(Received(key, payload, encoding, 0, None))
+                heard.process_message(Received(key, payload, encoding, 0, None))
     diagnosis = diagnose(heard, 3.0, alive=False)
     doctor.print_diagnosis(diagnosis)
     said = capsys.readouterr().out

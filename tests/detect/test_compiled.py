@@ -150,6 +150,6 @@ def test_what_earlier_versions_compiled_goes_after_a_quarter(folder: Path) -> No
         (other / "whole").touch()
         then = time.time() - days * 86400
         os.utime(other / "whole", (then, then))
-    compiled.note_cached()
+    compiled.mark_cache_complete()
     assert compiled.is_cached()
     assert (old.exists(), recent.exists()) == (False, True)

@@ -24,7 +24,7 @@ from .mistakes import Messages
 
 
 def status_of(robot: Robot, baseline: Baseline | None) -> ServiceStatus:
-    facts = {leg: LegFacts.of(robot, leg) for leg in robot.leg_ids}
+    facts = {leg: LegFacts.from_robot(robot, leg) for leg in robot.leg_ids}
     return ServiceStatus(
         version="1",
         robot=robot.name,
@@ -47,7 +47,7 @@ def listen(
     begins_ns = messages[-1].at_ns - round(seconds * 1e9)
 
     def take(key: str, payload: bytes) -> None:
-        heard.take(Received(key, payload, MSGPACK, 0, None))
+        heard.process_message(Received(key, payload, MSGPACK, 0, None))
 
     def tell(leg: str) -> None:
         learner = bank.learner(leg)
@@ -89,7 +89,7 @@ def alone(messages: Messages) -> Diagnosis:
     """What `doctor` finds in these messages where no service runs."""
     heard = Examination()
     for sent in messages:
-        heard.take(Received(sent.key, msgpack.packb(sent.body), MSGPACK, 0, None))
+        heard.process_message(Received(sent.key, msgpack.packb(sent.body), MSGPACK, 0, None))
     return diagnose(heard, 3.0, alive=False)
 
 

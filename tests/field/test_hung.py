@@ -52,7 +52,7 @@ def streams(robot: Robot, path: Path = DATA / "hung.mcap") -> dict[str, list[Ser
 def test_float_readings_are_gathered(
     robot: Robot, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert LegFacts.of(robot, "fr").quantum_rad in (None, 1e-4)
+    assert LegFacts.from_robot(robot, "fr").quantum_rad in (None, 1e-4)
     gathered = gather([DATA / f"{name}.mcap"], robot)
     assert "step" not in capsys.readouterr().err
     assert sum(leg.samples for leg in gathered.values()) > 2000

@@ -75,7 +75,7 @@ def test_the_robot_is_drawn_from_a_topic_and_a_frame_of_recordings() -> None:
     topics = {
         topic: (schema, content)
         for leg in shipped_robot().leg_ids
-        for topic, content, (schema, _) in scene.take(servo_key(leg), sample, 1)
+        for topic, content, (schema, _) in scene.update(servo_key(leg), sample, 1)
     }
     (panel,) = (config for name, config in PANELS.items() if name.startswith("3D!"))
     (shown,) = panel["topics"]

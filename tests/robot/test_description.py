@@ -42,7 +42,7 @@ def test_a_step_may_be_left_out(own: str, known: bool) -> None:
     text = GOOD.replace("quantum_rad = 0.00511\n", "") + own
     robot = parse_robot(text, source="x")
     assert (robot.quantum("rf"), robot.knows_step("rf")) == (0.003 if known else 0.001, known)
-    assert LegFacts.of(robot, "rf").quantum_rad == (0.003 if known else None)
+    assert LegFacts.from_robot(robot, "rf").quantum_rad == (0.003 if known else None)
     again = parse_robot(write_robot(robot), source="x")
     assert (again.quantum("rf"), again.steps_known) == (robot.quantum("rf"), False)
 

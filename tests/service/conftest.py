@@ -127,7 +127,7 @@ class Lockstep:
         self.settle()
         return got
 
-    def work(self, now_ns: int, /, **samples: ServoSample | bytes) -> None:
+    def process(self, now_ns: int, /, **samples: ServoSample | bytes) -> None:
         payloads = {
             leg: sent if isinstance(sent, bytes) else encode(sent) for leg, sent in samples.items()
         }
@@ -135,21 +135,21 @@ class Lockstep:
             leg: Received(servo_key(leg), payload, MSGPACK, now_ns, None)
             for leg, payload in payloads.items()
         }
-        self.service.work(Batch(samples=raws), now_ns)
-        self.service.finish()
-        self.service.look(now_ns)
+        self.service.process_batch(Batch(samples=raws), now_ns)
+        self.service.complete_batch()
+        self.service.publish_due(now_ns)
 
     def deliver(self, *samples: ServoSample) -> None:
         """One sample of leg rf per control tick."""
         for sample in samples:
             self.now_ns += 20_000_000
-            self.work(self.now_ns, rf=sample)
+            self.process(self.now_ns, rf=sample)
 
     def idle(self, ticks: int) -> None:
         """Control ticks without a sample."""
         for _ in range(ticks):
             self.now_ns += 20_000_000
-            self.work(self.now_ns)
+            self.process(self.now_ns)
 
 
 @pytest.fixture

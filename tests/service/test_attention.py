@@ -23,7 +23,7 @@ def view(of: ServiceStatus | None, *statuses: LearnerStatus, **fields: Any) -> V
 
 
 def look(of: View, *statuses: LearnerStatus) -> list[tuple[str, list[str], str, str]]:
-    found = Attention().look(of, {s.leg: s for s in statuses}, 0)
+    found = Attention().list_findings(of, {s.leg: s for s in statuses}, 0)
     return [(f.level, f.legs, f.what, f.remedy) for f in found]
 
 
@@ -102,12 +102,12 @@ def test_a_cause_of_one_leg_or_of_several_is_an_entry_with_its_remedy(
 def test_a_count_is_shown_when_it_grows_and_for_a_minute() -> None:
     attention = Attention()
     of_old = view(service(events_lost=3))
-    assert attention.look(of_old, {}, 0) == [], "nobody can do anything about it now"
-    (grown,) = attention.look(view(service(events_lost=4)), {}, S)
+    assert attention.list_findings(of_old, {}, 0) == [], "nobody can do anything about it now"
+    (grown,) = attention.list_findings(view(service(events_lost=4)), {}, S)
     assert grown.what == "4 contact events were lost: held up for too long, or the link was closed"
-    assert len(attention.look(view(service(events_lost=4)), {}, 60 * S)) == 1
-    assert attention.look(view(service(events_lost=4)), {}, 62 * S) == []
-    assert attention.look(view(service(events_lost=0)), {}, 63 * S) == [], "it began again"
+    assert len(attention.list_findings(view(service(events_lost=4)), {}, 60 * S)) == 1
+    assert attention.list_findings(view(service(events_lost=4)), {}, 62 * S) == []
+    assert attention.list_findings(view(service(events_lost=0)), {}, 63 * S) == [], "it began again"
 
 
 def test_the_services_own_words_are_shown() -> None:

@@ -212,7 +212,7 @@ service = functools.partial(views.service, baseline="b.json", legs={"rf": FACTS}
 def receive(*messages: tuple[str, bytes], encoding: str = MSGPACK) -> Examination:
     received = Examination()
     for key, payload in messages:
-        received.take(Received(key, payload, encoding, 0, None))
+        received.process_message(Received(key, payload, encoding, 0, None))
     return received
 
 
@@ -338,7 +338,9 @@ def test_json_is_understood_whatever_is_declared(encoding: str) -> None:
     received = Examination()
     for k, sample in enumerate(stream(151)):
         begin = (b"", b"\xef\xbb\xbf", b" \r\n\t", b"\xef\xbb\xbf ")[k % 4]
-        received.take(Received(servo_key("rf"), begin + encode(sample, JSON), encoding, 0, None))
+        received.process_message(
+            Received(servo_key("rf"), begin + encode(sample, JSON), encoding, 0, None)
+        )
     assert not received.refused
     found = diagnose(received, 3.0, alive=False).findings
     assert {finding.cause for finding in found if finding.level != "note"} == {"no_service"}

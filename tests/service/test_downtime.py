@@ -48,7 +48,7 @@ class Admission:
         answer = self.learner.answer
         if isinstance(answer, Reject):
             return answer
-        self.downtime.follow(one, restart=answer.restart)
+        self.downtime.update(one, restart=answer.restart)
         return None
 
     @property

@@ -22,7 +22,7 @@ def received(leg: str, payload: bytes = b"", n: int = 0) -> Received:
 
 def drain(intake: SampleQueue[object]) -> list[dict[str, Received]]:
     rounds = []
-    while round_ := intake.take(0.0):
+    while round_ := intake.pop_batch(0.0):
         rounds.append(round_.samples)
     return rounds
 
@@ -44,21 +44,21 @@ def test_a_flood_costs_the_others_nothing_and_is_counted() -> None:
     for n in range(1000):
         intake.offer(received("bad", n=n))
     intake.offer(received("good", n=5000))
-    first = intake.take(0.0)
+    first = intake.pop_batch(0.0)
     assert first.samples["good"].arrival_ns == 5000
     assert first.samples["bad"].arrival_ns == 992  # the newest are kept
     assert first.overflow == Counter(bad=992)
     assert len(drain(intake)) == 7
-    assert not intake.take(0.0)
+    assert not intake.pop_batch(0.0)
 
 
 def test_keys_that_name_no_leg_are_counted_together() -> None:
     intake: SampleQueue[object] = SampleQueue()
     for key in ("robot/leg/*/servo", "robot/leg/**/servo", "robot/leg/a$*/servo", "other"):
         intake.offer(Received(key, b"", MSGPACK, 0, None))
-    round_ = intake.take(0.0)
+    round_ = intake.pop_batch(0.0)
     assert (round_.samples, round_.strangers, round_.stranger) == ({}, 4, "other")
-    assert not intake.take(0.0)
+    assert not intake.pop_batch(0.0)
 
 
 def test_legs_without_a_queue_share_one() -> None:
@@ -66,7 +66,7 @@ def test_legs_without_a_queue_share_one() -> None:
     for n in range(10):
         intake.offer(received(f"fake{n}", n=n))
         intake.offer(received("real", n=n))
-    first = intake.take(0.0)
+    first = intake.pop_batch(0.0)
     assert {leg: raw.arrival_ns for leg, raw in first.samples.items()} == {"real": 6, "fake6": 6}
     assert first.overflow == {"real": 6, NO_QUEUE: 6}
     assert [set(samples) for samples in drain(intake)] == [
@@ -79,54 +79,54 @@ def test_a_leg_gets_a_queue_of_its_own() -> None:
     intake.open("new")
     for leg in ("new", "other"):
         intake.offer(received(leg))
-    assert set(intake.take(0.0).samples) == {"new", "other"}
+    assert set(intake.pop_batch(0.0).samples) == {"new", "other"}
 
 
 def test_questions_are_bounded() -> None:
     intake: SampleQueue[int] = SampleQueue()
-    taken = [intake.ask(n) for n in range(100)]
+    taken = [intake.add_request(n) for n in range(100)]
     assert taken == [True] * 64 + [False] * 36
-    assert intake.take(0.0).requests == [0]
-    assert intake.ask(64)
-    assert not intake.ask(65)
+    assert intake.pop_batch(0.0).requests == [0]
+    assert intake.add_request(64)
+    assert not intake.add_request(65)
 
 
 def test_a_flood_of_questions_gets_one_answer_between_two_rounds_of_samples() -> None:
     """And none of them is forgotten, nor waited for."""
     intake: SampleQueue[int] = SampleQueue(["lf"])
     for n in range(30):
-        intake.ask(n)
+        intake.add_request(n)
     intake.offer(received("lf"))
-    first = intake.take(0.0)
+    first = intake.pop_batch(0.0)
     assert (list(first.samples), first.requests) == (["lf"], [0])
     began = time.monotonic()
-    assert [intake.take(60.0).requests for _ in range(29)] == [[n] for n in range(1, 30)]
+    assert [intake.pop_batch(60.0).requests for _ in range(29)] == [[n] for n in range(1, 30)]
     assert time.monotonic() - began < 30.0
-    assert not intake.take(0.0)
+    assert not intake.pop_batch(0.0)
 
 
 def test_a_question_can_wait_for_the_next_round() -> None:
     intake: SampleQueue[int] = SampleQueue(["lf"])
-    intake.ask(7)
+    intake.add_request(7)
     began = time.monotonic()
-    assert not intake.take(0.05, query=False)
+    assert not intake.pop_batch(0.05, query=False)
     assert time.monotonic() - began > 0.04
     intake.offer(received("lf"))
-    assert intake.take(5.0, query=False).samples
-    assert intake.take(60.0).requests == [7]
+    assert intake.pop_batch(5.0, query=False).samples
+    assert intake.pop_batch(60.0).requests == [7]
 
 
 def test_a_waiting_worker_wakes_at_once() -> None:
     intake: SampleQueue[object] = SampleQueue()
     threading.Timer(0.05, intake.offer, [received("lf")]).start()
     began = time.monotonic()
-    assert intake.take(60.0).samples
+    assert intake.pop_batch(60.0).samples
     assert time.monotonic() - began < 30.0
 
 
 def test_huge_payloads_are_refused_and_not_kept() -> None:
     intake: SampleQueue[object] = SampleQueue()
     intake.offer(received("lf", bytes(100 * MAX_SAMPLE_BYTES)))
-    huge = intake.take(0.0).samples["lf"]
+    huge = intake.pop_batch(0.0).samples["lf"]
     assert len(huge.payload) == MAX_SAMPLE_BYTES + 1
     assert decode(huge.payload, ServoSample).reason is Reject.TOO_LARGE

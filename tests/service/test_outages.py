@@ -283,18 +283,20 @@ def test_a_contact_that_is_withdrawn_stands_again_only_if_the_service_says_so() 
     known = KnownContacts()
     assert [e.status for e in known.event(event(7), 0)] == ["silent"], "not known yet"
     known.heartbeat(beat(20, 0.1, contact=True), S)
-    assert [e.contact for e in known.look(S)] == [True]
-    assert known.look(S) == []
+    assert [e.contact for e in known.poll_events(S)] == [True]
+    assert known.poll_events(S) == []
     known.heartbeat(beat(30, 0.1, contact=True), 2 * S)
-    assert known.look(2 * S + S * 4 // 10) == []
-    (gone,) = known.look(2 * S + S * 4 // 10 + 1)
+    assert known.poll_events(2 * S + S * 4 // 10) == []
+    (gone,) = known.poll_events(2 * S + S * 4 // 10 + 1)
     assert (gone.contact, gone.withheld, gone.status, gone.t_ns) == (False, True, "silent", 30)
     assert known.event(event(30, contact=False, status="silent", withheld=True), 3 * S) == []
     known.heartbeat(beat(40, 0.0, contact=False), 4 * S)
-    assert known.look(4 * S) == [], "whether it stands shows with its next event"
+    assert known.poll_events(4 * S) == [], "whether it stands shows with its next event"
     assert known.event(event(50), 4 * S) == [event(50)]
     known.heartbeat(Heartbeat(legs={}), 4 * S)
-    assert [e.contact for e in known.look(4 * S)] == [False], "another service has no such leg"
+    assert [e.contact for e in known.poll_events(4 * S)] == [False], (
+        "another service has no such leg"
+    )
 
 
 @pytest.mark.parametrize("age_s", [math.nan, math.inf, -1.0, 1e308])

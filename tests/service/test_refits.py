@@ -23,7 +23,7 @@ from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import InlineRefitter, RefitJob, RefitResult, Refitter
 from adaptive_contact.model import Library
 from adaptive_contact.model.leg_prior import leg_prior
-from adaptive_contact.priority import take_priority
+from adaptive_contact.priority import raise_priority
 from adaptive_contact.service import refits
 from adaptive_contact.service.refit_process import end_process, start_process
 from adaptive_contact.service.refits import ProcessRefitter, WaitingRefitter
@@ -234,7 +234,7 @@ def test_it_stands_behind_others_in_one_thread_and_has_loaded_all(
         monkeypatch.setenv(f"{name}_NUM_THREADS", "2")
 
     def hurried() -> None:
-        take_priority()
+        raise_priority()
         for _ in range(2):
             refitter.start()  # its thread, and the process, have what this one has
 

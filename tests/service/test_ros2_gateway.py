@@ -255,14 +255,14 @@ def test_a_topic_that_floods_drops_its_own_oldest() -> None:
         return Received(key, b"", "", number, None)
 
     for key in (b, other, "robot/x"):
-        inbox.put(message(key, 0))
+        inbox.add(message(key, 0))
     for number in range(WAITING + 36):
-        inbox.put(message(a, number))
+        inbox.add(message(a, number))
     got = [inbox.get(0.0)[1] for _ in range(WAITING + 1)]
     assert got == [message(b, 0), *(message(a, n) for n in range(36, WAITING + 36))]
     assert inbox.get(0.0) is None
-    assert inbox.take_dropped() == {"/a": 36}
-    assert inbox.take_dropped() == {}
+    assert inbox.pop_dropped() == {"/a": 36}
+    assert inbox.pop_dropped() == {}
 
 
 def test_learners_of_other_robots_take_no_places(config: Path) -> None:
@@ -271,7 +271,7 @@ def test_learners_of_other_robots_take_no_places(config: Path) -> None:
     gateway = Gateway(load_robot(config), service, ros, 1, lambda line: None)
     for leg in ("x1", "x2", "x3", *LEGS):
         payload = encode(status(leg=leg), MSGPACK)
-        gateway.note_learner(Received(learner_key(leg), payload, MSGPACK, 0, None))
+        gateway.store_status(Received(learner_key(leg), payload, MSGPACK, 0, None))
     shown = typestore().deserialize_cdr(gateway.diagnosis(None), RosType.DIAGNOSTICS)
     names = [row.name for row in shown.status]
     assert names == [*(f"adaptive_contact: leg {leg}" for leg in LEGS), "adaptive_contact: gateway"]

@@ -53,12 +53,12 @@ def step(router: Link, lockstep: Callable[..., Any]) -> Any:
 def test_states_are_published_while_somebody_subscribes(
     step: Any, inbox: Any, sample: Sample
 ) -> None:
-    step.work(1, lf=sample(1))
+    step.process(1, lf=sample(1))
     got = inbox(LegState)
     subscribed = step.client.subscribe(ALL_STATE, got)
     step.settle()
-    step.work(2, lf=sample(2), rf=sample(2, contact=True))
-    step.work(3, lf=sample(2), rf=sample(3))  # the first is refused: there is no state of it
+    step.process(2, lf=sample(2), rf=sample(2, contact=True))
+    step.process(3, lf=sample(2), rf=sample(3))  # the first is refused: there is no state of it
     states = got.wait(3)
     assert sorted((one.seq, one.contact, one.p) for one in states) == [
         (2, False, 0.1),
@@ -67,7 +67,7 @@ def test_states_are_published_while_somebody_subscribes(
     ]
     subscribed.close()
     step.settle()
-    step.work(4, lf=sample(4))
+    step.process(4, lf=sample(4))
     step.settle()
     assert len(got.items) == 3
 
@@ -77,7 +77,7 @@ def test_statuses_once_a_second_and_at_each_change(step: Any, inbox: Any, sample
     for tick in range(171):  # 3.4 s
         if tick == 60:
             step.bank.learner("lf").word = "adapting"
-        step.work(tick * 20 * MS, lf=sample(tick), rf=sample(tick))
+        step.process(tick * 20 * MS, lf=sample(tick), rf=sample(tick))
     found = got.wait(5)
     assert [status.status for status in found] == ["valid"] * 2 + ["adapting"] * 3
     assert all(status.leg == "lf" for status in found)
@@ -85,7 +85,7 @@ def test_statuses_once_a_second_and_at_each_change(step: Any, inbox: Any, sample
 
 def test_a_leg_that_never_spoke_is_silent_from_the_start(step: Any, inbox: Any) -> None:
     got = step.statuses(inbox, "rf")
-    step.work(1200 * MS)
+    step.process(1200 * MS)
     (status,) = got.wait(1)
     assert (status.status, status.note) == ("silent", "no sample yet, after 1.2 s")
 
@@ -95,9 +95,9 @@ def test_bad_payloads_are_counted_by_reason_and_seen(step: Any, inbox: Any, samp
     whole = encode(sample(1))
     nan = sample(2, measured=[float("nan"), 0.0, 0.0])
     for n, payload in enumerate([b"\xc1", whole[:-3], b"\x80", encode(nan), b'{"v":1}', whole]):
-        step.work(n, lf=payload)
-    step.work(1000 * MS, lf=sample(3), rf=sample(3))
-    step.work(1100 * MS, lf=sample(4), rf=sample(3))
+        step.process(n, lf=payload)
+    step.process(1000 * MS, lf=sample(3), rf=sample(3))
+    step.process(1100 * MS, lf=sample(4), rf=sample(3))
     status = got.wait(lambda items: items[-1].ticks >= 2)[-1]
     assert status.status == "valid"
     assert status.rejects == {
@@ -112,7 +112,7 @@ def test_dropped_samples_are_counted_for_their_leg(step: Any, sample: Sample) ->
     round_: Batch[Any] = Batch(samples={})
     round_.overflow.update(lf=3, nobody=2)
     with capture_logs() as logs:
-        step.service.work(round_, 5)
+        step.service.process_batch(round_, 5)
     assert [(line["event"], line["reason"], line["leg"], line["times"]) for line in logs] == [
         ("samples dropped", "overflow", "lf", 3),
         ("samples dropped", "overflow", "nobody", 2),
@@ -199,8 +199,8 @@ def test_described_legs_only(
 
 def test_wildcards_are_counted_for_the_service(step: Any, inbox: Any) -> None:
     got = inbox(ServiceStatus).subscribe(step.client, SERVICE_STATUS, history=True)
-    step.service.work(Batch(strangers=4, stranger="robot/leg/*/servo"), 1)
-    step.service.look(2 * S)
+    step.service.process_batch(Batch(strangers=4, stranger="robot/leg/*/servo"), 1)
+    step.service.publish_due(2 * S)
     assert got.wait(1)[-1].rejects == {Reject.UNKNOWN_LEG: 4}
 
 
@@ -218,8 +218,8 @@ def test_a_complaint_that_comes_or_goes_is_published_at_once(
     errors = [None, None, "disk full", "disk full, still", None, None]
     for tick, error in enumerate(errors):
         disk.facts = msgspec.structs.replace(facts, error=error)
-        service.look(tick * 100 * MS)
-    service.look(S + 400 * MS)
+        service.publish_due(tick * 100 * MS)
+    service.publish_due(S + 400 * MS)
     notes = [(status.note, status.uptime_s) for status in got.wait(4)]
     assert notes == [(None, 0.0), ("state: disk full", 0.2), (None, 0.4), (None, 1.4)]
 

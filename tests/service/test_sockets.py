@@ -57,7 +57,7 @@ def test_a_socket_that_would_linger_does_not(
 ) -> None:
     ours, _ = pair
     ours.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", *before))
-    LinkSockets().look(0)
+    LinkSockets().check_sockets(0)
     assert linger(ours)[0] == on
 
 
@@ -67,17 +67,17 @@ def test_a_link_that_takes_nothing_is_shut_down_while_a_put_waits(
     ours, _ = pair
     busy = 0
     sockets, missed = watching(ours, lambda: busy)
-    sockets.look(0)
-    sockets.look(10 * S)  # it hangs, and holds nothing up
+    sockets.check_sockets(0)
+    sockets.check_sockets(10 * S)  # it hangs, and holds nothing up
     assert missed == []
     busy = HELD_UP_NS
-    sockets.look(10 * S + 1)
+    sockets.check_sockets(10 * S + 1)
     assert missed == [DROPPED]
     with pytest.raises(OSError, match=r"Broken pipe|reset"):
         ours.send(b"x")
     assert sockets.held_ns == 10 * S + 1
     ours.close()
-    sockets.look(20 * S)
+    sockets.check_sockets(20 * S)
     assert missed == [DROPPED], "what was dropped is not lost as well"
 
 
@@ -88,13 +88,13 @@ def test_a_link_whose_peer_reads_is_kept_however_long_a_put_waits(
     sockets, missed = watching(ours, lambda: S)
     now_ns = 0
     for _ in range(20):
-        sockets.look(now_ns)
+        sockets.check_sockets(now_ns)
         now_ns += STUCK_NS - 1
         left = 4 * 65536  # enough for its kernel to open the window again
         while left > 0:
             left -= len(peer.recv(min(left, 65536)))
         fill(ours)
-        sockets.look(now_ns)
+        sockets.check_sockets(now_ns)
     assert missed == []
 
 
@@ -107,11 +107,11 @@ def test_a_link_that_took_nothing_until_it_was_closed_is_lost(
     """As Zenoh closes it at the end of its lease; one that has just begun to wait may be done."""
     ours, _ = pair
     sockets, missed = watching(ours, lambda: 0)
-    sockets.look(0)
-    sockets.look(1)
+    sockets.check_sockets(0)
+    sockets.check_sockets(1)
     ours.close()
-    sockets.look(after_ns)
-    sockets.look(after_ns + S)
+    sockets.check_sockets(after_ns)
+    sockets.check_sockets(after_ns + S)
     assert missed == expected
 
 
@@ -123,6 +123,6 @@ def test_other_descriptors_are_left_alone() -> None:
             end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 10))
         sockets = LinkSockets()
         sockets.drop_what_holds_up(lambda _: S, lambda *links: pytest.fail(f"{links}"))
-        sockets.look(0)
-        sockets.look(10 * S)
+        sockets.check_sockets(0)
+        sockets.check_sockets(10 * S)
         assert linger(ends[0]) == linger(udp) == (1, 10)

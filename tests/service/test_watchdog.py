@@ -91,18 +91,18 @@ class Bench:
     def _end(self) -> None:
         self.ended += 1
 
-    def look(self, times: int, *, beat: bool) -> None:
+    def check(self, times: int, *, beat: bool) -> None:
         for _ in range(times):
             self.beat += beat
-            self.dog.look(0)
+            self.dog.check(0)
 
 
 def test_a_stall_is_told_once_and_its_end_too() -> None:
     bench = Bench()
     with capture_logs() as logs:
-        bench.look(1, beat=True)
-        bench.look(8, beat=False)
-        bench.look(3, beat=True)
+        bench.check(1, beat=True)
+        bench.check(8, beat=False)
+        bench.check(3, beat=True)
     assert bench.dog.stalls == 1
     assert bench.stalls == [1.0, 1.25, 1.5, 1.75, 2.0]
     assert [line["event"] for line in logs] == ["worker stands still", "worker goes on"]
@@ -115,7 +115,7 @@ def test_a_process_that_was_stopped_is_counted_once_and_goes_on(stopped_s: float
     with capture_logs() as logs:
         for k in range(20):
             bench.now_s += stopped_s if k == 10 else LOOK_S
-            bench.look(1, beat=k != 10)  # the worker has not come round yet
+            bench.check(1, beat=k != 10)  # the worker has not come round yet
     assert (bench.dog.stalls, bench.ended) == (1, 0)
     assert [line["event"] for line in logs] == ["process stood still"]
 
@@ -129,12 +129,12 @@ def test_a_process_that_was_stopped_is_counted_once_and_goes_on(stopped_s: float
 )
 def test_half_a_minute_is_the_end(beat: bool, blocked_s: int, said: str) -> None:
     bench = Bench()
-    bench.look(1, beat=True)
+    bench.check(1, beat=True)
     bench.blocked_ns = blocked_s * S
     with capture_logs() as logs:
-        bench.look(round(29.0 / LOOK_S), beat=beat)
+        bench.check(round(29.0 / LOOK_S), beat=beat)
         assert bench.ended == 0
-        bench.look(round(2.0 / LOOK_S), beat=beat)
+        bench.check(round(2.0 / LOOK_S), beat=beat)
     assert bench.ended == 1
     assert [line["event"] for line in logs if line["log_level"] == "critical"] == [said]
 
@@ -144,7 +144,7 @@ def test_a_put_that_blocks_is_told_once() -> None:
     with capture_logs() as logs:
         for blocked_s in (0.1, 0.6, 0.9, 0.0, 0.7):
             bench.blocked_ns = int(blocked_s * S)
-            bench.look(1, beat=True)
+            bench.check(1, beat=True)
     assert [line["event"] for line in logs] == ["contact events are held up"] * 2
 
 

@@ -146,7 +146,7 @@ class Bag(Recording):
         recording = Recording(path)
         recording.types = self.types
         yield from recording
-        self._note_damage(path.name, recording.damage)
+        self._record_damage(path.name, recording.damage)
 
     def _asked(self, path: Path, topics: Collection[str]) -> Iterator[Record]:
         """Yield the messages of a db3 file."""
@@ -171,9 +171,9 @@ class Bag(Recording):
                     "that `ros2 bag record` wrote, or an .mcap or .db3 of it"
                 ) from error
             what = f"{_one_line(error)}; the {given} messages before it are intact"
-            self._note_damage(path.name, what)
+            self._record_damage(path.name, what)
 
-    def _note_damage(self, name: str, damage: str | None) -> None:
+    def _record_damage(self, name: str, damage: str | None) -> None:
         if damage is not None:
             which = "" if name == self.path.name else f"{name}: "
             self.damage = f"{which}{damage}" if self.damage is None else self.damage

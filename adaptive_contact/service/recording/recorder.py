@@ -102,7 +102,7 @@ class Recorder:
         self._offset_ns = time.time_ns() - time.monotonic_ns()
         self._subscription = link.subscribe(check_key_expression(key_expr), self._queue.put)
 
-    def put(self, key: str, payload: bytes, encoding: str) -> None:
+    def record_message(self, key: str, payload: bytes, encoding: str) -> None:
         """Record a message of this program's own, as one that has just arrived."""
         self._queue.put(Received(key, payload, encoding, time.monotonic_ns(), None))
 

@@ -82,8 +82,10 @@ class Scene:
         """Begin a new file, which gets the scene with the first samples."""
         self._changed = True
 
-    def take(self, key: str, message: Message, time_ns: int) -> Iterator[tuple[str, bytes, Schema]]:
-        """Yield topics, messages and their schemas, to be written after this message."""
+    def update(
+        self, key: str, message: Message, time_ns: int
+    ) -> Iterator[tuple[str, bytes, Schema]]:
+        """Update the scene by a message; yield topics, messages and schemas to write after it."""
         if isinstance(message, BodyPose):
             self._move_body(message)
         leg = self._legs.get(leg_of_key(key) or "")
@@ -107,7 +109,7 @@ class Scene:
             transforms = self._transforms.transforms
             self._body = transforms.add(parent_frame_id=WORLD, child_frame_id=BODY)
         rotation = self._body.rotation
-        _place(self._body.translation, pose.position_m)
+        _set_vector(self._body.translation, pose.position_m)
         rotation.w, rotation.x, rotation.y, rotation.z = pose.quaternion_wxyz
 
     def _draw(self, time_ns: int) -> Iterator[tuple[str, bytes, Schema]]:
@@ -144,21 +146,21 @@ class _DrawnLeg:
         reach_m, parent, place = chain.reach_m, leg.id, (0.0, 0.0, 0.0)
         half = leg.mount.yaw_rad / 2
         mount = transforms.transforms.add(parent_frame_id=BODY, child_frame_id=parent)
-        _place(mount.translation, leg.mount.xyz_m)
+        _set_vector(mount.translation, leg.mount.xyz_m)
         mount.rotation.z, mount.rotation.w = math.sin(half), math.cos(half)
         self._add_link(scene, BODY, leg.mount.xyz_m, reach_m, parent)
         for joint, axis, way in zip(leg.joints, chain.axis_vectors, chain.origins_m, strict=True):
             frame = f"{leg.id}/{joint}"
             transform = transforms.transforms.add(parent_frame_id=parent, child_frame_id=frame)
-            _place(transform.translation, place)
+            _set_vector(transform.translation, place)
             transform.rotation.w = 1.0
             self._turns.append((transform.rotation, axis))
             entity = self._add_link(scene, frame, way, reach_m, frame)
             parent, place = frame, way
         self._sphere = entity.spheres.add()
-        _place(self._sphere.pose.position, place)
+        _set_vector(self._sphere.pose.position, place)
         self._sphere.pose.orientation.w = 1.0
-        _place(self._sphere.size, (0.1 * reach_m,) * 3)
+        _set_vector(self._sphere.size, (0.1 * reach_m,) * 3)
         self._colour = _FREE
         _paint(self._sphere.color, _FREE)
 
@@ -188,12 +190,12 @@ class _DrawnLeg:
         line = entity.lines.add(thickness=0.03 * reach_m)
         line.pose.orientation.w = 1.0
         line.points.add()
-        _place(line.points.add(), way)
+        _set_vector(line.points.add(), way)
         _paint(line.color, _LINK)
         return entity
 
 
-def _place(vector: Any, place: Vector) -> None:
+def _set_vector(vector: Any, place: Vector) -> None:
     vector.x, vector.y, vector.z = place
 
 

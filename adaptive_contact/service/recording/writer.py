@@ -133,7 +133,7 @@ class RecordingWriter:
             return
         self._add(key, content, PROTOBUF, log_time_ns, sent_ns, (schema_name(kind), descriptors))
         if self._scene is not None:
-            for topic, drawn, schema in self._scene.take(key, message, log_time_ns):
+            for topic, drawn, schema in self._scene.update(key, message, log_time_ns):
                 self._add(topic, drawn, PROTOBUF, log_time_ns, log_time_ns, schema)
 
     def _add(

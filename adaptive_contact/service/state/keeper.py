@@ -169,7 +169,7 @@ class StateKeeper:
             self._waiting[endpoint.leg] = record  # replaces one that still waits
             self._changed.notify_all()
         if self._thread is None:
-            self._thread = threading.Thread(target=self._work, name="state", daemon=True)
+            self._thread = threading.Thread(target=self._run, name="state", daemon=True)
             self._thread.start()
 
     def flush(self, timeout_s: float) -> bool:
@@ -194,7 +194,7 @@ class StateKeeper:
             self._thread.join(0.1)
         self._store.close()
 
-    def _work(self) -> None:
+    def _run(self) -> None:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: bool(self._waiting) or self._ending)
