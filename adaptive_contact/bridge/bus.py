@@ -168,7 +168,7 @@ class Bus:
         """
         wide = self._apart(servos, block)
 
-        def work() -> dict[int, Reading]:
+        def read_all() -> dict[int, Reading]:
             found: dict[int, Reading] = {}
             garbled = False
             if self.protocol in (2, "sts") and len(servos) > 1:
@@ -195,7 +195,7 @@ class Bus:
 
         self.port.latest_s = end
         try:
-            return self._guarded(work)
+            return self._guarded(read_all)
         finally:
             self.port.latest_s = math.inf
 
@@ -208,7 +208,7 @@ class Bus:
         measure differs, and on the wire their answers then garble each other, again and again.
         """
         for _ in range(2):
-            faults = [self._ask(servo, block).fault for _ in range(_LOOKS)]
+            faults = [self._read_alone(servo, block).fault for _ in range(_LOOKS)]
             if faults.count("corrupt") < _GARBLED:
                 return True
             self.settle()
@@ -226,7 +226,7 @@ class Bus:
             PortLostError: the port is gone.
         """
 
-        def work() -> None:
+        def drain() -> None:
             # What arrives is waited out for so long at the most, before something is asked again.
             end = time.monotonic() + 0.5
             while time.monotonic() < end:
@@ -235,7 +235,7 @@ class Bus:
                     return
                 self._count_late()
 
-        self._guarded(work)
+        self._guarded(drain)
         late, self._late_known = self._late_known, self.late.total()
         if self._late_known > late:
             now_ms = self.port.timeout_ms
@@ -250,7 +250,7 @@ class Bus:
             The bytes, or None where no two answers in some tries agree.
         """
         for _ in range(_TRIES):
-            once, twice = (self._ask(servo, block).data for _ in range(2))
+            once, twice = (self._read_alone(servo, block).data for _ in range(2))
             if once is not None and twice == once:
                 return once
             self.settle()
@@ -264,11 +264,11 @@ class Bus:
     def get(self, servo: int, register: Register) -> int | None:
         """Read one register's value; None if the servo does not send it within some tries."""
         for _ in range(_TRIES):
-            if (data := self._ask(servo, register.block).data) is not None:
+            if (data := self._read_alone(servo, register.block).data) is not None:
                 return register.value(data)
         return None
 
-    def put(self, servo: int, register: Register, value: int) -> bool:
+    def write_register(self, servo: int, register: Register, value: int) -> bool:
         """Write one register; True when the servo holds the value after.
 
         A confirmation says little: a locked EEPROM may have one, an alarm sets its error bits.
@@ -278,13 +278,13 @@ class Bus:
             self._guarded(
                 lambda: self._exchange(servo, Instruction.WRITE, 0, [register.address], data)
             )
-            now = self._ask(servo, register.block).data
+            now = self._read_alone(servo, register.block).data
             if now is not None and register.value(now) == value:
                 return True
             self.settle()
         return False
 
-    def put_all(self, register: Register, values: Mapping[int, int]) -> bool:
+    def sync_write(self, register: Register, values: Mapping[int, int]) -> bool:
         """Write one register of several servos with one sync write, which has no answer."""
         if not values:
             return True
@@ -316,8 +316,8 @@ class Bus:
             # pyserial raises TypeError where a port was closed under it.
             raise self.port.lost(error) from error
 
-    def _ask(self, servo: int, block: Block) -> Reading:
-        """Ask one servo for registers, in a transaction of its own."""
+    def _read_alone(self, servo: int, block: Block) -> Reading:
+        """Read registers of one servo, in a transaction of its own."""
         wide = self._apart([servo], block)
         return self._guarded(lambda: _cut(self._read_one(servo, wide), block, wide))
 
@@ -340,7 +340,7 @@ class Bus:
         self.port.setPacketTimeout(0)
         doubled = len(self.port.readPort(1)) > 0
         for _ in range(_TRIES):
-            data = self._ask(servo, self.model_number.block).data
+            data = self._read_alone(servo, self.model_number.block).data
             if data is not None:
                 return Pong(self.model_number.value(data), doubled)
         return Pong(number, doubled, reads=False)
@@ -385,7 +385,7 @@ class Bus:
         """
         self._drain()
         packet = unsent(self._version, servo, instruction, words, data)
-        self._awaited.ask(servo, size, time.monotonic())
+        self._awaited.record_request(servo, size, time.monotonic())
         answer, result, _ = self._packets.txRxPacket(self.port, packet)
         while result == _SUCCESS and self._is_late(servo, answer, size):
             answer, result = self._packets.rxPacket(self.port, *self._slow)
@@ -441,7 +441,7 @@ class Bus:
         fast = (True,) if self._fast else self._slow
         result = self._packets.syncReadTx(self.port, *block, list(servos), len(servos), *fast)
         for servo in servos:
-            self._awaited.ask(servo, block.size, at_s)
+            self._awaited.record_request(servo, block.size, at_s)
         if result != _SUCCESS:
             return found, False
         before, understood = self.port.received, 0

@@ -182,8 +182,8 @@ class Cycle:
         servo = self._servos[joint.servo]
         return (servo.goal, servo.last_goal) if servo.valid else (None, None)
 
-    def ask_alarms(self, now_ns: int) -> None:
-        """Ask servos that complain what is wrong, and whether they still drive; now and then.
+    def query_alarms(self, now_ns: int) -> None:
+        """Query servos that complain: what is wrong, and whether they still drive; now and then.
 
         Those for whom there is no time before the next tick have their turn another time.
         """
@@ -207,7 +207,7 @@ class Cycle:
                 stands = standing(servo.joint.model, block, reading.data, servo.waker.fatal)
                 if stands.alarms:
                     self.health[number].alarm(stands.alarms)
-                self._judge(servo, stands)
+                self._update_standing(servo, stands)
 
     # -- private -------------------------------------------------------------------------------
 
@@ -230,14 +230,14 @@ class Cycle:
                 continue
             reading, block = readings[number]
             was_silent = self.health[number].silent
-            self.health[number].note(reading)
+            self.health[number].record_reading(reading)
             if was_silent and reading.data is not None:
                 # Power has come back, it seems: ask the others at once.
                 self._hurry_until = self._count + len(self._servos) + 1
             if self.health[number].silent:
                 servo.waker.forget()  # unknown where it is, and which servo it will be
             servo.fresh = reading.data is not None
-            servo.valid = servo.fresh and self._take(servo, reading, block, due_ns)
+            servo.valid = servo.fresh and self._store_reading(servo, reading, block, due_ns)
 
     def _read_of(
         self, blocks: Mapping[int, Block], until_s: float, end_s: float
@@ -252,8 +252,8 @@ class Cycle:
             for number, reading in self.bus.read(numbers, block, until_s, end_s).items()
         }
 
-    def _take(self, servo: _Servo, reading: Reading, block: Block, due_ns: int) -> bool:
-        """Take a reading's values; False if the position is not one of this tick."""
+    def _store_reading(self, servo: _Servo, reading: Reading, block: Block, due_ns: int) -> bool:
+        """Store a reading's values; False if the position is not one of this tick."""
         assert reading.data is not None
         model = servo.joint.model
         registers = model.registers
@@ -266,7 +266,9 @@ class Cycle:
             if servo.register == "foreign":
                 faults["foreign_goal"] += 1
             if model.compact:
-                self._judge(servo, standing(model, block, reading.data, servo.waker.fatal))
+                self._update_standing(
+                    servo, standing(model, block, reading.data, servo.waker.fatal)
+                )
         stale = servo.steps is not None and is_stale(
             steps, servo.steps, speed, servo.speed_rad_s, model.step_rad / self.plan.period_s
         )
@@ -287,12 +289,12 @@ class Cycle:
     def _write(self, now_ns: int) -> None:
         """Limit the newest commands and write them, to servos that may be moved."""
         for leg in self.plan.legs:
-            self._take_command(leg, self.drivers[leg.id])
+            self._forward_command(leg, self.drivers[leg.id])
         legs = [leg for leg in self.plan.legs if self.drivers[leg.id].is_asked(now_ns)]
         asked = [self._servos[joint.servo] for leg in legs for joint in leg.joints]
         fresh = [servo for servo in asked if servo.fresh]
         self._learn([servo for servo in fresh if servo.waker.wanted is not None])
-        self._look([servo for servo in fresh if servo.waker.setting is not None])
+        self._read_states([servo for servo in fresh if servo.waker.setting is not None])
         goals: dict[int, int] = {}
         here: dict[int, int] = {}
         on: dict[int, int] = {}
@@ -303,7 +305,7 @@ class Cycle:
             if not asked_now:
                 for servo in servos:  # while nothing is commanded, others may change them
                     servo.waker.forget()
-            places = [self._place(servo) if asked_now else None for servo in servos]
+            places = [self._find_start(servo) if asked_now else None for servo in servos]
             start = [self._start(driver, j, *pair) for j, pair in
                      enumerate(zip(servos, places, strict=True))]  # fmt: skip
             before = driver.goal and list(driver.goal)
@@ -335,23 +337,23 @@ class Cycle:
                 else:
                     servo.goal = here[number] = waker.wrote(place.steps)
         # Sync writes are not answered: each is seen in the next tick's reading, or written again.
-        self._put("goal_position", here | goals)
-        self._put("torque_enable", on)
+        self._sync_write("goal_position", here | goals)
+        self._sync_write("torque_enable", on)
 
-    def _put(self, name: str, values: Mapping[int, int]) -> None:
+    def _sync_write(self, name: str, values: Mapping[int, int]) -> None:
         """Write a register of servos, with one sync write for each place that it has in them."""
         places: dict[Register, dict[int, int]] = {}
         for number, value in values.items():
             register = self._servos[number].joint.model.registers[name]
             places.setdefault(register, {})[number] = value
         for register, some in places.items():
-            self.bus.put_all(register, some)
+            self.bus.sync_write(register, some)
 
-    def _place(self, servo: _Servo) -> Place | None:
+    def _find_start(self, servo: _Servo) -> Place | None:
         """Return from where a servo can be moved in this tick."""
         if not servo.fresh or servo.steps is None or servo.goal is None:
             return None
-        return servo.waker.place(servo.stands, servo.steps, servo.goal)
+        return servo.waker.find_start(servo.stands, servo.steps, servo.goal)
 
     def _start(self, driver: Driver, j: int, servo: _Servo, place: Place | None) -> float | None:
         """Return the angle from which a joint is moved; corrects the driver if it is another."""
@@ -382,11 +384,11 @@ class Cycle:
             if reading.data is not None:
                 self._servos[number].waker.learn(reading.data)
 
-    def _look(self, servos: Sequence[_Servo]) -> None:
+    def _read_states(self, servos: Sequence[_Servo]) -> None:
         """Read the servos' state where the tick's reading does not have it (X-series).
 
         Those that are awake take turns; the others, and those whose goal is not the one written,
-        are looked at in every tick.
+        are read in every tick.
         """
         servos = [servo for servo in servos if not servo.joint.model.compact]
         awake = [s for s in servos if s.waker.awake and s.register == "taken"]
@@ -401,7 +403,7 @@ class Cycle:
         for number, (reading, block) in readings.items():
             servo = self._servos[number]
             if reading.data is not None:
-                self._judge(servo, standing(servo.joint.model, block, reading.data))
+                self._update_standing(servo, standing(servo.joint.model, block, reading.data))
 
     def _is_absent(self, servo: _Servo) -> bool:
         record = self.health[servo.joint.servo]
@@ -415,8 +417,8 @@ class Cycle:
             return "shut down"
         return self._servos[number].waker.trouble or "not read yet"
 
-    def _judge(self, servo: _Servo, stands: Standing) -> None:
-        """Note how a servo stands; one that has shut itself down gets no goals.
+    def _update_standing(self, servo: _Servo, stands: Standing) -> None:
+        """Update how a servo stands; one that has shut itself down gets no goals.
 
         It is said to be shut down where two readings in a row say so.
         """
@@ -426,8 +428,8 @@ class Cycle:
         if stands.shut:
             servo.waker.forget()
 
-    def _take_command(self, leg: LegPlan, driver: Driver) -> None:
-        taken = self._mailbox.take(leg.id)
+    def _forward_command(self, leg: LegPlan, driver: Driver) -> None:
+        taken = self._mailbox.pop_command(leg.id)
         if taken is None:
             return
         command, arrival_ns = taken

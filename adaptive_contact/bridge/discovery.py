@@ -20,7 +20,7 @@ from adaptive_contact.bridge.handshake import (
     astray_text,
     doubled_text,
     find_all,
-    look_elsewhere,
+    find_elsewhere,
     named,
 )
 from adaptive_contact.bridge.modes import followed, read_slope
@@ -118,7 +118,7 @@ def find_servos(
     protocols: tuple[Protocol, ...] = ("sts",) if feetech_only else (1, 2)
     places: list[Place] = [(baud, protocol) for baud in bauds for protocol in protocols]
     found = next(
-        (one for place in places if (one := _ask(name, device, place, ids, configure))), None
+        (one for place in places if (one := _probe_port(name, device, place, ids, configure))), None
     )
     if found is None:
         raise BusError(
@@ -133,14 +133,16 @@ def find_servos(
         at for at, there in found.elsewhere.items() if at[0] in bauds and len(there) > found.known
     ]
     for place in rivals:
-        other = _ask(name, device, place, ids, configure)
+        other = _probe_port(name, device, place, ids, configure)
         if other is not None and other.known > found.known:
             found = other
     return found
 
 
-def _ask(name: str, device: str, place: Place, ids: Sequence[int], configure: bool) -> Found | None:
-    """Ask a port at one baud rate and protocol who is there; None where no servo answers."""
+def _probe_port(
+    name: str, device: str, place: Place, ids: Sequence[int], configure: bool
+) -> Found | None:
+    """Find the servos of a port at one baud rate and protocol; None where none answers."""
     port = Port(device=device, baud=place[0], protocol=place[1])
     bus = Bus(name, port)
     bus.open()
@@ -168,7 +170,7 @@ def _ask(name: str, device: str, place: Place, ids: Sequence[int], configure: bo
     finally:
         bus.close()
     missing = [servo for servo in ids or row[1:] if servo not in pongs]
-    elsewhere = look_elsewhere(name, port, missing)
+    elsewhere = find_elsewhere(name, port, missing)
     return Found(name, port, pongs, slopes, follows, tuple(done), elsewhere)
 
 

@@ -267,7 +267,7 @@ class Waker:
         lower = max(self._joint.lower_rad, min(one, other))
         return lower, min(self._joint.upper_rad, max(one, other))
 
-    def place(self, stands: Standing | None, steps: int, goal: int) -> Place | None:
+    def find_start(self, stands: Standing | None, steps: int, goal: int) -> Place | None:
         """Return from where it can be moved, by one tick's readings; else None and ``trouble``.
 
         Args:

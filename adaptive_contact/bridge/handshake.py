@@ -193,15 +193,15 @@ def astray_text(port: Port, place: Place, ids: Sequence[int]) -> str:
     )
 
 
-def look_elsewhere(
+def find_elsewhere(
     name: str, port: Port, ids: Sequence[int], bauds: Sequence[int] = USUAL_BAUDS
 ) -> dict[Place, list[int]]:
-    """Look for servos that do not answer as the port is set; writes nothing.
+    """Find servos that do not answer as the port is set; writes nothing.
 
     Args:
         name: of the port.
         port: as it is set; closed.
-        ids: whom to look for.
+        ids: of the servos to find.
         bauds: rates to try, of Dynamixel in both protocols.
 
     Returns:
@@ -249,10 +249,10 @@ def _keep(bus: Bus, servo: int, model: ServoModel, name: str, value: int) -> str
     lock, what = model.registers.get("eeprom_lock"), name.replace("_", " ")
     locked = lock is not None and bus.get(servo, lock)
     if lock is not None and locked:
-        bus.put(servo, lock, 0)
-    done = bus.put(servo, model.registers[name], value)
+        bus.write_register(servo, lock, 0)
+    done = bus.write_register(servo, model.registers[name], value)
     if lock is not None and locked:
-        done = bus.put(servo, lock, 1) and done
+        done = bus.write_register(servo, lock, 1) and done
     if done:
         return f"{what} set to {value}"
     return (
@@ -298,15 +298,15 @@ class _Handshake:
     def run(self) -> Findings:
         try:
             self._bus.open()
-            self._compare(self._ask())
-            self._judge_settings()
+            self._compare(self._find_servos())
+            self._check_settings()
         except BusError as error:
             self._errors.append(str(error))
         finally:
             self._bus.close()
         return self._findings
 
-    def _ask(self) -> dict[int, Pong]:
+    def _find_servos(self) -> dict[int, Pong]:
         asked = ALL_IDS if self._full else self._expected
         ignored, expected = self._plan.port.ignore, self._expected
         configure = expected if self._configure else ()
@@ -315,7 +315,7 @@ class _Handshake:
         self._advice += [f"{self._port}: {line}" for line in lines]
         return found
 
-    def _judge_settings(self) -> None:
+    def _check_settings(self) -> None:
         plan, bus = self._plan, self._bus
         present = [] if self._errors else list(plan.joints)
         unread = [joint.servo for joint in present if not self._is_set(joint)]
@@ -349,7 +349,7 @@ class _Handshake:
         if self._many_late(missing) or (patient and self._many_late(expected)):
             self._errors.append(self._too_late())
             return
-        for place, ids in self._look_for(missing).items():
+        for place, ids in self._find_missing(missing).items():
             missing = [servo for servo in missing if servo not in ids]
             line = astray_text(plan.port, place, ids)
             if len(ids) == len(expected):
@@ -373,13 +373,13 @@ class _Handshake:
             if trouble is not None:
                 self._errors.append(f"{where}: {trouble}")
 
-    def _look_for(self, missing: Sequence[int]) -> dict[Place, list[int]]:
+    def _find_missing(self, missing: Sequence[int]) -> dict[Place, list[int]]:
         """Find missing servos that answer at another rate, or in the other protocol."""
         if not missing:
             return {}
         self._bus.close()
         bauds = (*USUAL_BAUDS, *(3_000_000, 500_000, 19_200, 9_600))
-        elsewhere = look_elsewhere(self._plan.name, self._plan.port, missing, bauds)
+        elsewhere = find_elsewhere(self._plan.name, self._plan.port, missing, bauds)
         self._bus.open()
         return elsewhere
 

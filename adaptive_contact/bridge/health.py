@@ -42,8 +42,8 @@ class ServoHealth:
         """Return whether the servo is asked less often."""
         return self.misses >= SILENT_AFTER
 
-    def note(self, reading: Reading) -> None:
-        """Take in what came of a read."""
+    def record_reading(self, reading: Reading) -> None:
+        """Record what came of a read."""
         for name in [*self._alarms]:
             self._alarms[name] -= 1
             if self._alarms[name] <= 0:
@@ -61,7 +61,7 @@ class ServoHealth:
 
     def alarm(self, names: Iterable[str]) -> None:
         """Note what is behind an alert."""
-        self.note(Reading(b"", tuple(names)))
+        self.record_reading(Reading(b"", tuple(names)))
 
     @property
     def alarms(self) -> set[str]:
@@ -230,10 +230,10 @@ class News:
         }
         for found, over in zip(self._alarms.update(alarms), ("", " is over"), strict=True):
             for name in sorted({name for name, _ in found}):
-                self._say(said, [servo for of, servo in found if of == name], name + over)
+                self._add_line(said, [servo for of, servo in found if of == name], name + over)
         shut, woken = self._shut.update({s for s, record in health.items() if record.shut})
-        self._say(said, shut, remedy(self._plan.joints[0].model))
-        self._say(said, woken, "no longer shut down")
+        self._add_line(said, shut, remedy(self._plan.joints[0].model))
+        self._add_line(said, woken, "no longer shut down")
         self._strangers(said, health)
         return said
 
@@ -256,17 +256,17 @@ class News:
         # 50 Hz.  One that comes and goes is not a line a second.
         dead = (silent - now_late) | (self._silent.reported - answering - now_late)
         gone, back = self._silent.update(dead, begins=3 if busy else 1, ends=2)
-        self._say(said, gone, "no answer; check its cable and power")
+        self._add_line(said, gone, "no answer; check its cable and power")
         # A servo whose answers keep coming too late, where few do, is named after so many looks,
         # once.
         slow = set() if busy else silent & now_late
-        self._say(
+        self._add_line(
             said,
             self._slow.update(slow | self._slow.reported, begins=3)[0],
             f"its answers come too late; set timeout_ms higher in [port.{self._plan.name}], and "
             "see 'Timing' in docs/bridge.md",
         )
-        self._say(said, back, "answers again")
+        self._add_line(said, back, "answers again")
 
     def _strangers(self, said: list[str], health: Mapping[int, ServoHealth]) -> None:
         """Report once that another program writes goals, which this one writes too."""
@@ -276,14 +276,14 @@ class News:
         found = {s for s, count in goals.items() if count - self._foreign.get(s, 0) >= 3}
         self._foreign = goals
         if not self._shared.reported:
-            self._say(
+            self._add_line(
                 said,
                 self._shared.update(found)[0],
                 "its goals are changed by another program; end that one, see 'Two masters on one "
                 "bus' in docs/bridge.md",
             )
 
-    def _say(self, said: list[str], servos: Sequence[int], words: str) -> None:
+    def _add_line(self, said: list[str], servos: Sequence[int], words: str) -> None:
         if servos:
             names = ", ".join(f"{servo} ({self._names[servo]})" for servo in servos)
             said.append(f"port {self._plan.name}: servo {names}: {words}")

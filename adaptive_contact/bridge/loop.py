@@ -159,7 +159,7 @@ class PortLoop:
                 self._tell(begun_ns)
             except PortLostError as error:
                 self._lost = True
-                self._outlet.say(f"{error}; trying to open it again")
+                self._outlet.print_line(f"{error}; trying to open it again")
 
     def _wait(self, due_ns: int, stop: threading.Event) -> tuple[int, int | None]:
         """Wait for the tick; an observer reads one goal a little ahead of it.
@@ -208,16 +208,16 @@ class PortLoop:
         self._reconnects += 1
         self._pulse.forget()
         self.cycle.restart()
-        self._outlet.say(f"port {self.plan.name}: {self.bus.device} is back")
+        self._outlet.print_line(f"port {self.plan.name}: {self.bus.device} is back")
         return True
 
     def _tell_holding(self) -> None:
         new, back = self._held.update(set(self.cycle.holding))
         if new:
             legs = ", ".join(new)
-            self._outlet.say(f"leg {legs}: no command for 200 ms, holding the last goal")
+            self._outlet.print_line(f"leg {legs}: no command for 200 ms, holding the last goal")
         if back:
-            self._outlet.say(f"leg {', '.join(back)}: commands are back")
+            self._outlet.print_line(f"leg {', '.join(back)}: commands are back")
 
     def _tell(self, now_ns: int) -> None:
         """Publish the status where a second has passed."""
@@ -225,12 +225,12 @@ class PortLoop:
             return
         self._status_ns = now_ns + NS_PER_S
         if not self._lost:
-            self.cycle.ask_alarms(time.monotonic_ns())
+            self.cycle.query_alarms(time.monotonic_ns())
             for line in self._news.lines(self.cycle.health, self.bus.late):
-                self._outlet.say(line)
+                self._outlet.print_line(line)
             # Legs that have commands which some of their servos do not follow.
             for line in self._lacking.update(set(self.cycle.lacking.values()))[0]:
-                self._outlet.say(f"port {self.plan.name}: {line}")
+                self._outlet.print_line(f"port {self.plan.name}: {line}")
         self._outlet.status(self.status(now_ns))
 
     def status(self, now_ns: int) -> BridgeStatus:

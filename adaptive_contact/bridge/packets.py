@@ -272,8 +272,8 @@ class Awaited:
         taken = {s for servo in servos for s, end_s in self._sizes.get(servo, ()) if end_s > now_s}
         return next(more for more in itertools.count(size) if more not in taken)
 
-    def ask(self, servo: int, size: int, now_s: float) -> None:
-        """Note a question, by the bytes of data that its answer has."""
+    def record_request(self, servo: int, size: int, now_s: float) -> None:
+        """Record a request, by the bytes of data that its answer has."""
         known = [one for one in self._sizes.get(servo, ()) if one[1] > now_s]
         # An answer that has not come within this time does not come.
         # A dead servo is asked five times in that time, with all others and alone; a disturbed line

@@ -97,7 +97,7 @@ class SdkPort:
         self.is_open = True
         if holders(self.port_name):  # software that does not lock, such as the SDKs' own ports
             self.close()
-            raise BusError(_in_use(self.name, self.port_name))
+            raise BusError(_describe_holders(self.name, self.port_name))
 
     def close(self) -> None:
         """Close the port; errors of a port that is gone anyway are not reported."""
@@ -174,7 +174,7 @@ def latency_advice(device: str, root: Path = Path("/sys/bus/usb-serial/devices")
     )
 
 
-def _in_use(name: str, device: str) -> str:
+def _describe_holders(name: str, device: str) -> str:
     who = ", ".join(f"{process} (process {pid})" for pid, process in holders(device).items())
     return f"port {name}: {device} is in use by {who or 'another program'}; end that one" + (
         ("" if who else f" (`sudo fuser {device}` names it)")
@@ -201,7 +201,7 @@ def _explain(name: str, device: str, error: OSError) -> str:
             "log in again"
         )
     if code in (errno.EAGAIN, errno.EBUSY):
-        return _in_use(name, device)
+        return _describe_holders(name, device)
     unfit = code in (errno.ENOTTY, errno.EINVAL, errno.EISDIR, errno.EIO, errno.ENXIO)
     if unfit or "Could not configure port" in str(error):
         return (

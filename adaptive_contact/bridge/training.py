@@ -109,11 +109,11 @@ Script = Callable[[ServoSample], Iterator[list[float]]]
 class _Basket:
     """Keeps the samples of one port, and answers them with goals."""
 
-    def __init__(self, scripts: Mapping[str, Script], say: Callable[[str], None]) -> None:
+    def __init__(self, scripts: Mapping[str, Script], print_line: Callable[[str], None]) -> None:
         self.kept: dict[str, list[ServoSample]] = {}
         self.mailbox = Mailbox()
         self.error: AdaptiveContactError | None = None
-        self.say = say
+        self.print_line = print_line
         self._scripts = scripts
         self._running: dict[str, Iterator[list[float]]] = {}
 
@@ -136,7 +136,7 @@ class _Basket:
             self.error = error  # raised on the thread that waits
             return
         payload = encode(Command(desired=goal))
-        self.mailbox.put(leg, payload, MSGPACK, time.monotonic_ns())
+        self.mailbox.store_command(leg, payload, MSGPACK, time.monotonic_ns())
 
 
 def collect(
@@ -146,8 +146,8 @@ def collect(
     scripts: Mapping[str, Script] | None = None,
     realtime: bool = False,
     stop: threading.Event | None = None,
-    say: Callable[[str], None] = lambda _: None,
-    look: Callable[[dict[str, list[ServoSample]]], None] = lambda _: None,
+    print_line: Callable[[str], None] = lambda _: None,
+    on_samples: Callable[[dict[str, list[ServoSample]]], None] = lambda _: None,
 ) -> dict[str, list[ServoSample]]:
     """Run all ports for some time, a thread each.
 
@@ -157,8 +157,8 @@ def collect(
         scripts: goals by leg; with them the servos are driven, without them nothing is written.
         realtime: let the ports' threads run before all ordinary ones.
         stop: ends it early when set.
-        say: called with what happens.
-        look: shown what there is so far, ten times a second; not to be changed.
+        print_line: called with what happens.
+        on_samples: shown what there is so far, ten times a second; not to be changed.
 
     Returns:
         Samples by leg, in order.
@@ -168,20 +168,20 @@ def collect(
     """
     mode: Literal["observe", "drive"] = "observe" if scripts is None else "drive"
     end, halt = stop or threading.Event(), threading.Event()
-    baskets = [_Basket(scripts or {}, say) for _ in plans]
+    baskets = [_Basket(scripts or {}, print_line) for _ in plans]
     run = time.time_ns() // 1_000_000
 
-    def work(plan: PortPlan, basket: _Basket) -> None:
+    def run_port(plan: PortPlan, basket: _Basket) -> None:
         refused = raise_priority() if realtime else None
         if refused is not None:
-            say(refused)
+            print_line(refused)
         try:
             PortLoop(plan, mode, basket, basket.mailbox, run).run(halt)
         except AdaptiveContactError as error:
             basket.error = error
 
     threads = [
-        threading.Thread(target=work, args=pair, name=f"port-{pair[0].name}", daemon=True)
+        threading.Thread(target=run_port, args=pair, name=f"port-{pair[0].name}", daemon=True)
         for pair in zip(plans, baskets, strict=True)
     ]
     # Five for the first sample; ports wake their servos in a tenth of it
@@ -192,7 +192,7 @@ def collect(
         swinging = False
         while time.monotonic() < until and not end.wait(0.1):
             kept = _all(baskets)
-            look(kept)
+            on_samples(kept)
             if not swinging and any(kept.values()):
                 swinging, until = True, time.monotonic() + seconds
             if any(basket.error is not None for basket in baskets):

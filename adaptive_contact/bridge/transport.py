@@ -76,7 +76,7 @@ class Outlet(Protocol):
     def status(self, status: BridgeStatus) -> None:
         """Publish the state of the port."""
 
-    def say(self, line: str) -> None:
+    def print_line(self, line: str) -> None:
         """Print one line for the operator: something happened."""
 
 
@@ -93,12 +93,12 @@ class Mailbox:
         self.rejected = 0
         self.last_reject: str | None = None
 
-    def put(self, leg: str, payload: bytes, encoding: str, arrival_ns: int) -> None:
-        """Keep a command until :meth:`take`, or until a newer one comes."""
+    def store_command(self, leg: str, payload: bytes, encoding: str, arrival_ns: int) -> None:
+        """Store a command until :meth:`pop_command`, or until a newer one comes."""
         self._newest[leg] = payload, encoding, arrival_ns
 
-    def take(self, leg: str) -> tuple[Command, int] | None:
-        """Return the newest command since the last call and its time of arrival, or None."""
+    def pop_command(self, leg: str) -> tuple[Command, int] | None:
+        """Remove and return the newest command and its time of arrival, or None."""
         post = self._newest.pop(leg, None)
         if post is None:
             return None

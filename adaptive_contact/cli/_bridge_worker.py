@@ -41,7 +41,7 @@ class ZenohOutlet:
         """Publish how the port is."""
         self._status.put(status)
 
-    def say(self, line: str) -> None:
+    def print_line(self, line: str) -> None:
         """Print a line for the person at the terminal."""
         _say(line)
 
@@ -51,7 +51,7 @@ def listen(link: Link, plan: PortPlan, mailbox: Mailbox) -> None:
     for leg in plan.legs:
 
         def sink(received: Any, leg: str = leg.id) -> None:
-            mailbox.put(leg, received.payload, received.encoding, received.arrival_ns)
+            mailbox.store_command(leg, received.payload, received.encoding, received.arrival_ns)
 
         link.subscribe(command_key(leg.id), sink)
 

@@ -365,7 +365,7 @@ def _check_bus(
                 taken[leg] = len(rows)
             look()
 
-        samples = collect(plans, seconds, stop=stop, say=say_note, look=take)
+        samples = collect(plans, seconds, stop=stop, print_line=say_note, on_samples=take)
         take(samples)
     silent = [leg.id for leg in robot.legs if not samples.get(leg.id)]
     if silent:

@@ -127,7 +127,7 @@ def learn(
         own = "" if drive else ": swing every leg in free air meanwhile"
         say_note(f"{does} for {seconds:g} s{own}; Ctrl-C ends it earlier")
         source = functools.partial(
-            collect, plans, scripts=scripts, realtime=realtime, stop=stop, say=say_note
+            collect, plans, scripts=scripts, realtime=realtime, stop=stop, print_line=say_note
         )
     everything: dict[str, list[ServoSample]] = {}
     # A busy computer reads fewer ticks than it was asked for: what is short is read on.

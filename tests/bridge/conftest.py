@@ -87,7 +87,7 @@ class Catcher:
         self.statuses: list[BridgeStatus] = []
         self.lines: list[str] = []
         self.status = self.statuses.append
-        self.say = self.lines.append
+        self.print_line = self.lines.append
 
     def samples(self, samples: Mapping[str, ServoSample]) -> None:
         if len(samples) == self._legs:
@@ -191,7 +191,7 @@ class Running:
 
     def command(self, leg: str, *desired: float, preview: list[list[float]] | None = None) -> None:
         payload = encode(Command(desired=list(desired), preview=preview))
-        self.mailbox.put(leg, payload, MSGPACK, time.monotonic_ns())
+        self.mailbox.store_command(leg, payload, MSGPACK, time.monotonic_ns())
 
     def commanding(
         self, desired: Sequence[float], preview: list[list[float]] | None = None

@@ -100,14 +100,14 @@ def test_silent_servos_are_asked_in_turn_and_come_back() -> None:
     health = {i: ServoHealth() for i in range(4)}
     for _ in range(SILENT_AFTER):
         for i in (1, 2):
-            health[i].note(Reading(None, (), "no_answer"))
+            health[i].record_reading(Reading(None, (), "no_answer"))
     asked = [due(health, k) for k in range(4 * ASK_EVERY)]
     assert all({0, 3} <= set(a) for a in asked)
     assert all(a[:2] == [0, 3] for a in asked)  # a silent one comes last
     extra = [set(a) - {0, 3} for a in asked]
     assert [e for e in extra if e] == [{1}, {2}, {1}, {2}]
     assert len([1 for k in range(4) if len(due(health, k, hurry=True)) == 3]) == 4
-    health[1].note(Reading(b"\0"))
+    health[1].record_reading(Reading(b"\0"))
     assert not health[1].silent
 
 
@@ -146,10 +146,10 @@ def test_a_bus_that_has_become_slower_is_its_usual_moment_soon() -> None:
 
 def test_alarms_are_shown_and_fade() -> None:
     record = ServoHealth()
-    record.note(Reading(b"\0", ("overload",)))
+    record.record_reading(Reading(b"\0", ("overload",)))
     assert record.counts.alarms == ["overload"]
     for _ in range(100):
-        record.note(Reading(b"\0"))
+        record.record_reading(Reading(b"\0"))
     assert record.counts.alarms == []
     assert record.counts.faults == {"overload": 1}
 

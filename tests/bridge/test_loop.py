@@ -79,7 +79,7 @@ def test_bad_commands_are_counted_and_change_nothing(run: Callable) -> None:
     r = run("drive", ticks=5, **AX)
     r.command("l0", 0.1)
     r.catcher.go_on(3)
-    r.mailbox.put("l0", b"\xc1", MSGPACK, 0)
+    r.mailbox.store_command("l0", b"\xc1", MSGPACK, 0)
     r.catcher.wait(lambda c: c.statuses and c.statuses[-1].commands_refused == 2)
     assert r.rig.servo(1).writes == 0
 

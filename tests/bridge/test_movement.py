@@ -147,7 +147,7 @@ class Stage:
         else:
             self.wish = command
             payload = encode(Command(desired=[command]))
-            self.mailbox.put("l", payload, MSGPACK, time.monotonic_ns())
+            self.mailbox.store_command("l", payload, MSGPACK, time.monotonic_ns())
         before, at, writes = self.horns.angle(0), self.told(), self.servo.writes
         drove = self.servo.drives
         now_ns = time.monotonic_ns()
