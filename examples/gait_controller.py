@@ -195,8 +195,8 @@ def main() -> int:
     return 0
 
 
-def say(finding: Finding) -> None:
-    """What stands in the way of the network."""
+def print_waiting(finding: Finding) -> None:
+    """Print what stands in the way of the network."""
     print(f"gait_controller: {finding.line}; trying on", file=sys.stderr, flush=True)
 
 
@@ -223,7 +223,7 @@ def run(options: argparse.Namespace) -> None:
     settings = client_settings(
         options.connect or (), namespace=options.namespace, zenoh_config=options.zenoh_config
     )
-    with Link.open(settings, on_wait=say) as link:
+    with Link.open(settings, on_wait=print_waiting) as link:
         work = Legwork(link, leg)
         # The bridge comes to the first goal at an easy pace of its own.
         began = time.monotonic()

@@ -10,8 +10,8 @@ from typing import Any, Literal
 from adaptive_contact.bridge.loop import PortLoop
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.bridge.transport import Mailbox
-from adaptive_contact.cli._link import take_realtime, unless_stopped
-from adaptive_contact.cli._output import protect_output, say
+from adaptive_contact.cli._link import enable_realtime, unless_stopped
+from adaptive_contact.cli._output import print_line, protect_output
 from adaptive_contact.cli._signals import on_signals
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.service.link import Link, LinkSettings
@@ -43,7 +43,7 @@ class ZenohOutlet:
 
     def print_line(self, line: str) -> None:
         """Print a line for the person at the terminal."""
-        _say(line)
+        _print_bridge_line(line)
 
 
 def listen(link: Link, plan: PortPlan, mailbox: Mailbox) -> None:
@@ -56,7 +56,7 @@ def listen(link: Link, plan: PortPlan, mailbox: Mailbox) -> None:
         link.subscribe(command_key(leg.id), sink)
 
 
-def work(
+def run_port(
     plan: PortPlan,
     mode: Literal["observe", "drive"],
     settings: LinkSettings,
@@ -70,10 +70,10 @@ def work(
     on_signals(lambda *_: stop.set())
     # Before Zenoh makes its threads: a publication waits for their locks, and would otherwise
     # wait for as long as an ordinary thread that holds one is not let run.
-    take_realtime(realtime)
+    enable_realtime(realtime)
 
     def waits(finding: Finding) -> None:
-        _say(f"port {plan.name}: {finding.line}; trying on")
+        _print_bridge_line(f"port {plan.name}: {finding.line}; trying on")
 
     try:
         with unless_stopped(stop), Link.open(settings, on_wait=waits, stop=stop) as link:
@@ -82,9 +82,9 @@ def work(
                 listen(link, plan, mailbox)
             PortLoop(plan, mode, outlet, mailbox, run, phase=phase).run(stop)
     except AdaptiveContactError as error:
-        _say(str(error))
+        _print_bridge_line(str(error))
         sys.exit(2)
 
 
-def _say(line: str) -> None:
-    say(f"adaptive-contact bridge: {line}", err=True)
+def _print_bridge_line(line: str) -> None:
+    print_line(f"adaptive-contact bridge: {line}", err=True)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from adaptive_contact.bridge.plan import DEFAULT_PORT, PortPlan, plan_ports
 from adaptive_contact.cli._options import option
-from adaptive_contact.cli._output import say
+from adaptive_contact.cli._output import print_line
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Robot
 
@@ -86,5 +86,5 @@ def shake_hands(
 
     findings = check_ports(plans, configure=configure, drive=drive)
     for line in findings.advice:
-        say(f"{by}: {line}", err=True)
+        print_line(f"{by}: {line}", err=True)
     findings.raise_errors()

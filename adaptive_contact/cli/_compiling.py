@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING, Final
 
 from adaptive_contact import __version__
-from adaptive_contact.cli._output import say_note
+from adaptive_contact.cli._output import print_note
 
 if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
@@ -39,17 +39,17 @@ def compile_tick(stop: threading.Event | None = None) -> None:
         why = f"numba, which has builds for 64 bits only, is not installed ({platform.machine()})"
         if os.environ.get("NUMBA_DISABLE_JIT"):
             why = "NUMBA_DISABLE_JIT is set"
-        say_note(f"{why}: ticks run as plain Python, too slow for a robot that walks")
+        print_note(f"{why}: ticks run as plain Python, too slow for a robot that walks")
         return
     line = first_start()
     if line is not None:
-        say_note(line)
+        print_note(line)
         if cache_folder():
             began_s = time.monotonic()
             # In a process of its own: the compiler would keep 200 MB for as long as this one runs.
             _run_until(stop or threading.Event(), [sys.executable, "-c", _CODE])
             if is_cached():
-                say_note(f"compiled after {time.monotonic() - began_s:.0f} s")
+                print_note(f"compiled after {time.monotonic() - began_s:.0f} s")
     if stop is None or not stop.is_set():
         compile_ahead()
 

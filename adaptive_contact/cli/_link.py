@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from adaptive_contact.cli._output import say_note, say_waiting
+from adaptive_contact.cli._output import print_note, print_waiting
 from adaptive_contact.errors import LinkError
 from adaptive_contact.priority import raise_priority
 from adaptive_contact.service.settings import Finding, LinkSettings
@@ -23,7 +23,7 @@ def open_link(
     settings: LinkSettings,
     stop: threading.Event,
     *,
-    on_wait: Callable[[Finding], None] = say_waiting,
+    on_wait: Callable[[Finding], None] = print_waiting,
     patience_s: float = math.inf,
 ) -> Link:
     """Join a router, or listen as one.
@@ -52,8 +52,8 @@ def unless_stopped(stop: threading.Event) -> Iterator[None]:
             raise
 
 
-def take_realtime(wanted: bool, below: int = 0) -> None:
-    """Run before all ordinary processes where that is wanted; say why where it is not allowed.
+def enable_realtime(wanted: bool, below: int = 0) -> None:
+    """Run before all ordinary processes where that is wanted; print why where it is not allowed.
 
     Args:
         wanted: by ``--realtime``.
@@ -61,4 +61,4 @@ def take_realtime(wanted: bool, below: int = 0) -> None:
     """
     refused = raise_priority(below) if wanted else None
     if refused is not None:
-        say_note(refused)
+        print_note(refused)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from adaptive_contact.cli._output import say_note
+from adaptive_contact.cli._output import print_note
 from adaptive_contact.cli._signals import on_signals
 from adaptive_contact.core.learn.mode import WhenAmbiguous
 from adaptive_contact.durations import DURATIONS, seconds_of
@@ -306,11 +306,11 @@ def refuse_to_replace(paths: Iterable[Path], option: str, *, force: bool) -> Non
             )
 
 
-def say_damage(recording: Recording) -> None:
-    """Say what the last pass over a recording met, a line each."""
+def print_damage(recording: Recording) -> None:
+    """Print what the last pass over a recording met, a line each."""
     lines = recording.notes if recording.damage is None else (recording.damage, *recording.notes)
     for line in lines:
-        say_note(f"{recording.path}: {line}")
+        print_note(f"{recording.path}: {line}")
 
 
 def described_robot(config: Path | None) -> Robot:
@@ -320,7 +320,7 @@ def described_robot(config: Path | None) -> Robot:
     robot = shipped_robot()
     unused = _unused_here()
     if unused:
-        say_note(f"no --config: the robot is the shipped '{robot.name}'{unused}")
+        print_note(f"no --config: the robot is the shipped '{robot.name}'{unused}")
     return robot
 
 
@@ -377,7 +377,7 @@ def recorded_robot(config: Path | None, recordings: Sequence[Path]) -> Robot:
             )
         robot = known
     robot = robot or shipped_robot()
-    say_note(
+    print_note(
         f"no --config: taken for the shipped robot '{robot.name}' "
         f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms){_unused_here()}"
     )

@@ -1,7 +1,7 @@
 """Writes to standard output and standard error, and handles their failures.
 
-Text of the wire and of files is shown, never obeyed: all lines for people go through :func:`say`.
-Where a stream cannot be written, for a full disk or a reader that is gone:
+Text of the wire and of files is shown, never obeyed: all lines for people go through
+:func:`print_line`.  Where a stream cannot be written, for a full disk or a reader that is gone:
 
 A line on standard error is lost, and the command goes on.  Standard output is what a command is
 called for, so it ends with :class:`OutputLost`; a command that runs until it is stopped declares
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 _LONGEST: Final = 2000  # characters of a line
 
 
-def say(line: object, *, err: bool = False) -> None:
+def print_line(line: object, *, err: bool = False) -> None:
     """Print one line for people; control characters in it are shown."""
     print(printable(line), file=sys.stderr if err else sys.stdout, flush=True)
 
 
-def say_json(value: object, indent: int | None = None) -> None:
+def print_json(value: object, indent: int | None = None) -> None:
     """Print a value as JSON that a terminal can show; bytes and text are JSON already."""
     if not isinstance(value, bytes | str):
         import msgspec
@@ -49,17 +49,17 @@ def say_json(value: object, indent: int | None = None) -> None:
     print(shown, flush=True)
 
 
-def say_note(line: object) -> None:
+def print_note(line: object) -> None:
     """Print one line for people beside a command's output, on standard error."""
     text = str(line)
     if len(text) > _LONGEST:  # it shows what a file holds
         text = f"{text[: _LONGEST // 2]} … {text[-_LONGEST // 2 :]}"
-    say(f"adaptive-contact: {text}", err=True)
+    print_line(f"adaptive-contact: {text}", err=True)
 
 
-def say_waiting(finding: Finding) -> None:
-    """Say what stands in the way of the network, while a command tries on."""
-    say_note(f"{finding.line}; trying on")
+def print_waiting(finding: Finding) -> None:
+    """Print what stands in the way of the network, while a command tries on."""
+    print_note(f"{finding.line}; trying on")
 
 
 def overwrite(line: str) -> None:

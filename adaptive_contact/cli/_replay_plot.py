@@ -15,7 +15,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from adaptive_contact.cli._output import say
+from adaptive_contact.cli._output import print_line
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.files import write_file
 from adaptive_contact.service.replay import LegTrace, Spans
@@ -63,7 +63,7 @@ def write_plot(
     summary = "no truth in the recording: contacts are drawn, not judged"
     if any(trace.truth is not None for trace in traces):
         summary = ", ".join(f"{counts[kind]} {name}" for kind, name in _KINDS.items())
-    say(f"{path}: {summary}; {len(data) / 1000:.0f} kB", err=True)
+    print_line(f"{path}: {summary}; {len(data) / 1000:.0f} kB", err=True)
 
 
 def _html(traces: Sequence[LegTrace], title: str, mark_s: float | None) -> bytes:

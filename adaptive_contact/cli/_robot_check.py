@@ -26,7 +26,7 @@ from adaptive_contact.cli._bus import (
 )
 from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import option, seconds_option
-from adaptive_contact.cli._output import say, say_json, say_note
+from adaptive_contact.cli._output import print_json, print_line, print_note
 from adaptive_contact.errors import ConfigurationError, needs
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.settings import LinkSettings
@@ -62,17 +62,17 @@ def check_live(
     check, console = LiveCheck(robot), table_console(pipe_width=120)
     with Link.open(settings) as link:
         if not json:
-            say(
+            print_line(
                 "Move one joint after the other by hand.  Another joint is named: the order of "
                 "joints, or of ids, is wrong.  The foot goes the other way: that joint's sign is "
                 "wrong.",
                 err=True,
             )
-        with _shown(check, console, quiet=json) as look:
-            elapsed = listen(link, ALL_SERVO, seconds, check.take, stop=stop, on_poll=look)
+        with _shown(check, console, quiet=json) as refresh:
+            elapsed = listen(link, ALL_SERVO, seconds, check.take, stop=stop, on_poll=refresh)
     report = check.report(elapsed)
     if json:
-        say_json(report)
+        print_json(report)
     else:
         _print(report, console)
     return report.exit_code, check.angles()
@@ -92,7 +92,7 @@ def collect_live(
     kept: dict[str, list[ServoSample]] = {leg: [] for leg in robot.leg_ids}
     strangers: set[str] = set()
 
-    def take(received: Received) -> None:
+    def add_sample(received: Received) -> None:
         leg = leg_of_key(received.key)
         sample = decode(received.payload, ServoSample, received.encoding)
         if leg is None or isinstance(sample, Rejected):
@@ -103,12 +103,12 @@ def collect_live(
             strangers.add(leg)
 
     with Link.open(settings) as link:
-        say(
+        print_line(
             f"listening for {seconds:g} s: swing every leg in free air meanwhile; Ctrl-C ends it "
             "earlier",
             err=True,
         )
-        listen(link, ALL_SERVO, seconds, take, stop=stop)
+        listen(link, ALL_SERVO, seconds, add_sample, stop=stop)
     if not any(kept.values()):
         others = f", only of leg {', '.join(sorted(strangers))}" if strangers else ""
         raise ConfigurationError(
@@ -131,7 +131,7 @@ def _shown(
     printed, redrawn = 0, 0.0
     with Live(console=console, auto_refresh=False, transient=True) as live:
 
-        def look() -> None:
+        def refresh() -> None:
             nonlocal printed, redrawn
             if quiet:
                 return
@@ -142,7 +142,7 @@ def _shown(
                 redrawn = time.monotonic()
                 live.update(legs_table(check.legs(), console.width), refresh=True)
 
-        yield look
+        yield refresh
 
 
 def _print(report: LiveReport, console: Console) -> None:
@@ -324,7 +324,7 @@ def check(
             )
         else:
             angles = {leg.id: [0.0] * len(leg.joints) for leg in robot.legs}
-            say(
+            print_line(
                 f"drawn with all joints at 0, as robot '{robot.name}' has no port; with --live it "
                 "stands as its samples say",
                 err=True,
@@ -350,23 +350,23 @@ def _check_bus(
     plans = plans_of(robot, config, device)
     shake_hands(plans)
     for line in compare(read_servos(plans)):
-        say_note(line)
+        print_note(line)
     with needs("robot check", "doctor", "numpy"):
         from adaptive_contact.checks.livecheck import LiveCheck
 
     check, console = LiveCheck(robot), table_console(pipe_width=120)
     taken: Counter[str] = Counter()
-    with _shown(check, console) as look:
+    with _shown(check, console) as refresh:
 
-        def take(so_far: dict[str, list[ServoSample]]) -> None:
+        def add_samples(so_far: dict[str, list[ServoSample]]) -> None:
             for leg, rows in so_far.items():
                 for row in rows[taken[leg] :]:
                     check.take_sample(leg, row)
                 taken[leg] = len(rows)
-            look()
+            refresh()
 
-        samples = collect(plans, seconds, stop=stop, print_line=say_note, on_samples=take)
-        take(samples)
+        samples = collect(plans, seconds, stop=stop, print_line=print_note, on_samples=add_samples)
+        add_samples(samples)
     silent = [leg.id for leg in robot.legs if not samples.get(leg.id)]
     if silent:
         raise ConfigurationError(
@@ -375,5 +375,7 @@ def _check_bus(
     console.print(legs_table(check.legs(), console.width))
     blank = [leg.id for leg in robot.legs if leg.chain is None]
     if blank:
-        say(f"lengths_m (or origins_m) are still missing for leg {', '.join(blank)}", err=True)
+        print_line(
+            f"lengths_m (or origins_m) are still missing for leg {', '.join(blank)}", err=True
+        )
     return {leg: rows[-1].measured for leg, rows in samples.items()}

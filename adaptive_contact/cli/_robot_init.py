@@ -12,7 +12,7 @@ import msgspec
 from adaptive_contact.bridge.plan import plan_ports
 from adaptive_contact.cli._bus import DeviceOption, devices_of
 from adaptive_contact.cli._options import ForceOption, check_output, flatten, floats, option
-from adaptive_contact.cli._output import say, say_note
+from adaptive_contact.cli._output import print_line, print_note
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import Leg, Robot, parse_robot
@@ -147,9 +147,9 @@ def init(*, wishes: Wishes) -> None:
     names = _joint_names(wishes.joints)
     read = None if wishes.urdf is None else _read_urdf(wishes, wishes.urdf, feet)
     if devices:
-        robot = _of_bus(wishes, devices, tuple(feet), names, read)
+        robot = _describe_from_bus(wishes, devices, tuple(feet), names, read)
     else:
-        robot = _of_options(wishes, tuple(feet), names, read)
+        robot = _describe_from_options(wishes, tuple(feet), names, read)
     if wishes.lengths is not None:
         measured = floats(wishes.lengths)
         alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
@@ -160,11 +160,11 @@ def init(*, wishes: Wishes) -> None:
         plan_ports(robot)  # what a bridge would refuse
     write_file(out, text, advice="give another --out")
     for note in () if read is None else read.notes:
-        say_note(note)
+        print_note(note)
     todo = "" if robot.legs[0].chain is not None else "fill in lengths_m, then "
     sizes = " and ".join(map(str, sorted({len(leg.joints) for leg in robot.legs})))
     live = "" if devices else "--live "
-    say(
+    print_line(
         f"wrote {out}: {len(robot.legs)} legs of {sizes} joints; {todo}run "
         f"`adaptive-contact robot check {live}--config {out}`"
     )
@@ -228,7 +228,7 @@ def _read_urdf(wishes: Wishes, path: Path, feet: Mapping[str, str]) -> UrdfLegs:
 # -- robots --------------------------------------------------------------------------------------
 
 
-def _of_bus(
+def _describe_from_bus(
     wishes: Wishes,
     devices: Mapping[str, str],
     ids: Sequence[str],
@@ -257,13 +257,15 @@ def _of_bus(
         for port, path in devices.items()
     ]
     for line in describe(found):
-        say(line)
+        print_line(line)
     own_names = () if isinstance(names, int) else names
     robot = group(found, joints, ids, own_names, wanted=wanted)
     robot = msgspec.structs.replace(robot, name=_name(wishes, read))
     for port, settings in robot.ports.items():
         if settings.ignore:
-            say(f"port {port}: servo {', '.join(map(str, settings.ignore))} is no leg's: ignored")
+            print_line(
+                f"port {port}: servo {', '.join(map(str, settings.ignore))} is no leg's: ignored"
+            )
     if wishes.rate is not None:
         robot = msgspec.structs.replace(robot, period_s=1.0 / wishes.rate)
     if wishes.resolution is not None:
@@ -277,7 +279,7 @@ def _of_bus(
     return msgspec.structs.replace(robot, legs=legs)
 
 
-def _of_options(
+def _describe_from_options(
     wishes: Wishes, ids: Sequence[str], names: int | tuple[str, ...], read: UrdfLegs | None
 ) -> Robot:
     """Describe a robot on no known bus."""

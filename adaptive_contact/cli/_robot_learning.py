@@ -14,7 +14,7 @@ from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import DeviceOption, plans_of, shake_hands
 from adaptive_contact.cli._options import option, seconds_option
-from adaptive_contact.cli._output import say, say_note
+from adaptive_contact.cli._output import print_line, print_note
 from adaptive_contact.errors import ConfigurationError, TooLittleDataError
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ServoSample, servo_key
@@ -125,9 +125,9 @@ def learn(
         scripts = swings_of(robot, plans, amplitude, seed, home) if drive else None
         does = "swinging all legs" if drive else "observing"
         own = "" if drive else ": swing every leg in free air meanwhile"
-        say_note(f"{does} for {seconds:g} s{own}; Ctrl-C ends it earlier")
+        print_note(f"{does} for {seconds:g} s{own}; Ctrl-C ends it earlier")
         source = functools.partial(
-            collect, plans, scripts=scripts, realtime=realtime, stop=stop, print_line=say_note
+            collect, plans, scripts=scripts, realtime=realtime, stop=stop, print_line=print_note
         )
     everything: dict[str, list[ServoSample]] = {}
     # A busy computer reads fewer ticks than it was asked for: what is short is read on.
@@ -155,7 +155,7 @@ def learn(
             read_s = robot.period_s * max(one.samples for one in gathered.values())
             next_s = math.ceil(read_s * (_MORE * error.needed / max(error.have, 1) - 1.0))
             if 0 < next_s <= left_s and not stop.is_set():
-                say_note(f"{error}: going on for {next_s} s")
+                print_note(f"{error}: going on for {next_s} s")
                 continue
             again = " ".join(f"--more {path}" for path in [*(more or []), kept])
             raise TooLittleDataError(
@@ -164,7 +164,7 @@ def learn(
                 error.have,
                 error.needed,
             ) from error
-    say(f"baseline written to {out}, the recording to {kept}", err=True)
+    print_line(f"baseline written to {out}, the recording to {kept}", err=True)
 
 
 def _check_source(

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from adaptive_contact.arrays import Array
-from adaptive_contact.cli._output import say
+from adaptive_contact.cli._output import print_line
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import Angles, Leg, Mount, Robot
@@ -78,7 +78,7 @@ def write_picture(robot: Robot, angles: Mapping[str, Sequence[float]], path: Pat
     if not angles:
         raise ConfigurationError(f"no samples came, so there is nothing to draw in {path}")
     write_file(path, draw(robot, angles), advice="give another --picture")
-    say(f"drew {path}", err=True)
+    print_line(f"drew {path}", err=True)
 
 
 def draw(robot: Robot, angles: Mapping[str, Sequence[float]]) -> str:

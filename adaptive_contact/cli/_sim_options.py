@@ -17,7 +17,7 @@ from adaptive_contact.cli._options import (
     seconds_option,
     speed_of,
 )
-from adaptive_contact.cli._output import say, say_waiting
+from adaptive_contact.cli._output import print_line, print_waiting
 from adaptive_contact.errors import ConfigurationError, needs
 
 if TYPE_CHECKING:
@@ -171,20 +171,20 @@ class RunOptions:
                 link=None if self.offline else network.client(json=json),
                 record=self.record,
                 render=self.render,
-                on_wait=say_waiting,
-                on_start=lambda line: say(f"adaptive-contact sim: {line}; stop with Ctrl-C"),
+                on_wait=print_waiting,
+                on_start=lambda line: print_line(f"adaptive-contact sim: {line}; stop with Ctrl-C"),
             )
             factor = report.simulated_s / max(report.elapsed_s, 1e-9)
             touches = "  ".join(f"{leg} {count}" for leg, count in report.touches.items())
             raises = "" if report.raises is None else f"; raised swings: {report.raises}"
             late = f", {report.late} late" if speed is not None else ""
-            say(
+            print_line(
                 f"simulated {report.simulated_s:.1f} s in {report.elapsed_s:.1f} s "
                 f"({factor:.1f} x real time), {report.ticks} ticks{late}; "
                 f"touches: {touches}{raises}"
             )
             for path in filter(None, (self.record, self.render)):
-                say(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
+                print_line(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
 
 
 def needs_simulator() -> AbstractContextManager[None]:

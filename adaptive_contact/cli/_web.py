@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._options import option, stoppable
-from adaptive_contact.cli._output import say, say_waiting
+from adaptive_contact.cli._output import print_line, print_waiting
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.service.settings import Finding, LinkSettings
 
@@ -87,9 +87,9 @@ def live_page(settings: WebSettings, *, browse: bool) -> Iterator[LivePage]:
     from adaptive_contact.web import LivePage
 
     with LivePage(settings) as page:
-        say(f"live page at {page.url}")
+        print_line(f"live page at {page.url}")
         if not settings.loopback:
-            say(
+            print_line(
                 "adaptive-contact: the page goes over the network in the clear; where others "
                 "listen, leave --host out and use ssh -L",
                 err=True,
@@ -107,7 +107,7 @@ def serve_page(settings: WebSettings, link_settings: LinkSettings, *, browse: bo
         page = stack.enter_context(live_page(settings, browse=browse))
 
         def waiting(finding: Finding) -> None:
-            say_waiting(finding)
+            print_waiting(finding)
             page.waits_for(
                 finding.line,
                 "Start `adaptive-contact serve`, or give `watch` its --connect. This page goes on "

@@ -16,7 +16,7 @@ from adaptive_contact.cli._options import (
     option,
     refuse_to_replace,
 )
-from adaptive_contact.cli._output import say_json
+from adaptive_contact.cli._output import print_json
 from adaptive_contact.cli._sim_options import needs_studies
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import shipped_robot
@@ -82,7 +82,7 @@ def bench(
     text = msgspec.json.format(msgspec.json.encode(result), indent=2)
     write_file(out / "bench.json", text + b"\n", advice="give another --out")
     if json:
-        say_json(text.decode())
+        print_json(text.decode())
         return
     shown = table_console()
     for name, summary in rows.items():

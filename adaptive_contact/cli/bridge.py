@@ -15,9 +15,9 @@ import typer
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import BaudOption, DeviceOption, described_in, plans_of, shake_hands
-from adaptive_contact.cli._link import open_link, take_realtime, unless_stopped
+from adaptive_contact.cli._link import enable_realtime, open_link, unless_stopped
 from adaptive_contact.cli._options import option, seconds_option
-from adaptive_contact.cli._output import make_stdout_optional, say
+from adaptive_contact.cli._output import make_stdout_optional, print_line
 from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.errors import needs
 
@@ -64,31 +64,31 @@ def ros2(
     settings = network.client(json=json)
     ros_settings = opt.Network(ros_connect, None, ros_zenoh_config).client()
 
-    take_realtime(realtime)
+    enable_realtime(realtime)
     with (
         unless_stopped(stop),
         Link.open(
             ros_settings,
-            on_wait=lambda finding: _say_ros(f"ROS 2: {shown_of_ros(finding)}; trying on"),
+            on_wait=lambda finding: _print_ros_line(f"ROS 2: {shown_of_ros(finding)}; trying on"),
             stop=stop,
         ) as ros,
         Link.open(
             settings,
-            on_wait=lambda finding: _say_ros(f"the service: {finding.line}; trying on"),
+            on_wait=lambda finding: _print_ros_line(f"the service: {finding.line}; trying on"),
             stop=stop,
         ) as service,
     ):
         # Milliseconds since 1970: a later start has a larger run.
-        gateway = Gateway(robot, service, ros, time.time_ns() // 1_000_000, _say_ros)
+        gateway = Gateway(robot, service, ros, time.time_ns() // 1_000_000, _print_ros_line)
         reads, legs = "reading nothing (no [leg.ros2])", gateway.intake.legs
         if legs:
             reads = f"reading {', '.join(gateway.topics)} for legs {' '.join(legs)}"
-        say(
+        print_line(
             f"adaptive-contact bridge ros2: {reads}; publishing {gateway.publishes}; stop with "
             "Ctrl-C"
         )
         if legs and gateway.intake.unmapped:
-            _say_ros(f"without [leg.ros2]: legs {' '.join(gateway.intake.unmapped)}")
+            _print_ros_line(f"without [leg.ros2]: legs {' '.join(gateway.intake.unmapped)}")
         gateway.run(stop)
 
 
@@ -109,26 +109,26 @@ def foxglove(
         open_link(settings, stop) as link,
         FoxgloveServer(link, host, port) as server,
     ):
-        say(
+        print_line(
             f"adaptive-contact bridge foxglove: open ws://{host}:{server.port} in Foxglove "
             f"(Open connection), or {server.app_url}; stop with Ctrl-C"
         )
         if host not in ("127.0.0.1", "localhost", "::1"):
-            say(
+            print_line(
                 "adaptive-contact bridge foxglove: everybody who can reach this address sees "
                 "everything; where others listen, leave --host out and use ssh -L",
                 err=True,
             )
         server.run(stop)
     for (key, why), count in server.left_out.most_common(8):
-        say(
+        print_line(
             f"adaptive-contact bridge foxglove: {count} messages on {key} not shown: {why}",
             err=True,
         )
 
 
-def _say_ros(line: str) -> None:
-    say(f"adaptive-contact bridge ros2: {line}", err=True)
+def _print_ros_line(line: str) -> None:
+    print_line(f"adaptive-contact bridge ros2: {line}", err=True)
 
 
 app = typer.Typer(help="Servos on Zenoh, real and virtual; ROS 2; Foxglove.", no_args_is_help=True)
@@ -179,7 +179,7 @@ def _run_ports(
     realtime: bool,
 ) -> None:
     """Run a process per port; one that dies is started again."""
-    from adaptive_contact.cli._bridge_worker import work
+    from adaptive_contact.cli._bridge_worker import run_port
 
     context = multiprocessing.get_context("spawn")
 
@@ -187,14 +187,14 @@ def _run_ports(
         # A run of its own: ``seq`` begins at 0 again, and within a run that is a duplicate.
         run = time.time_ns() // 1_000_000
         given = (plan, mode, settings, run, realtime, turn / len(plans))  # ports take turns
-        worker = context.Process(target=work, args=given, name=f"bridge-{plan.name}")
+        worker = context.Process(target=run_port, args=given, name=f"bridge-{plan.name}")
         worker.start()
         return worker
 
     workers = [started(turn, plan) for turn, plan in enumerate(plans)]
     servos = sum(len(plan.joints) for plan in plans)
     legs = " ".join(leg.id for plan in plans for leg in plan.legs)
-    say(
+    print_line(
         f"adaptive-contact bridge: {'driving' if mode == 'drive' else 'observing'} {servos} servos "
         f"on {len(plans)} ports, legs {legs}; publishing robot/leg/*/servo; stop with Ctrl-C"
     )
@@ -203,7 +203,7 @@ def _run_ports(
             for turn, plan in enumerate(plans):
                 if workers[turn].is_alive():
                     continue
-                say(
+                print_line(
                     f"adaptive-contact bridge: port {plan.name}: its process ended "
                     f"({workers[turn].exitcode}); starting it again",
                     err=True,
@@ -279,7 +279,7 @@ def virtual(
         from adaptive_contact_sim.virtual.assembly import with_servos
         from adaptive_contact_sim.virtual.session import run
     robot = opt.described_robot(config)
-    take_realtime(realtime)
+    enable_realtime(realtime)
     run(
         robot if servos is None else with_servos(robot, servos),
         directory,
@@ -293,7 +293,7 @@ def virtual(
         seconds=math.inf if seconds is None else seconds,
         record=record,
         write_config=write_config,
-        on_start=lambda line: say(f"adaptive-contact bridge virtual: {line}"),
+        on_start=lambda line: print_line(f"adaptive-contact bridge virtual: {line}"),
     )
 
 

@@ -28,7 +28,7 @@ from adaptive_contact.cli._options import (
     refuse_to_replace,
     seconds_option,
 )
-from adaptive_contact.cli._output import say, say_note
+from adaptive_contact.cli._output import print_line, print_note
 from adaptive_contact.cli._signals import on_signals
 from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.cli._web import WEB_PANEL, Page, live_page
@@ -98,14 +98,14 @@ def demo(
                     "note",
                 )
             run.conduct(live)
-            run.judge()
+            run.evaluate()
             if live is not None:
                 live.close(f"The demo is over; {out / 'report.html'} has what was found.")
     except (KeyboardInterrupt, AdaptiveContactError):
         # Ctrl-C in a terminal reaches every process at once; who ends first is chance.
         if not stop.is_set():
             raise
-        say_note("stopped; nothing was judged")
+        print_note("stopped; nothing was judged")
         # What a shell calls "ended by Ctrl-C".
         raise typer.Exit(130) from None
 
@@ -165,7 +165,7 @@ class _Demo:
             serve = ("serve", "--config", name, "--no-state", *listen)
             service = stack.enter_context(_Child("the service", serve))
             endpoint = service.first_line().partition("listening on ")[2].partition(";")[0]
-            say(f"service     process {service.pid}, listening on {endpoint}")
+            print_line(f"service     process {service.pid}, listening on {endpoint}")
             settings = client_settings([endpoint], wait=False)
             link = stack.enter_context(Link.open(settings))
             feed = Feed(link)
@@ -187,15 +187,15 @@ class _Demo:
             )
             simulator = stack.enter_context(_Child("the simulator", walk))
             simulator.first_line()
-            say(f"simulator   process {simulator.pid}, seed {self._seed}")
+            print_line(f"simulator   process {simulator.pid}, seed {self._seed}")
             began_s, over = time.monotonic(), threading.Event()
             ended, next_s = False, 0.0
 
-            def look() -> None:  # twice a second
+            def check_progress() -> None:  # twice a second
                 nonlocal ended, next_s
                 if service.poll() is not None:
                     raise service.failure()
-                # What is on its way when the walk ends is written until the next look.
+                # What is on its way when the walk ends is written until the next check.
                 if ended or self._stop.is_set():
                     over.set()
                 ended = simulator.poll() is not None
@@ -209,16 +209,16 @@ class _Demo:
                         f"{walked_s:4.0f} of {self._seconds:.0f} s   leg {self._leg}: "
                         f"{_DRIFT_WORDS} {when} {self._drift_s:.0f} s"
                     )
-                    say("  ".join((said, *found_of)))
+                    print_line("  ".join((said, *found_of)))
 
-            look()
-            recorder.run(over, on_progress=look)
+            check_progress()
+            recorder.run(over, on_progress=check_progress)
             if self._stop.is_set():
                 raise AdaptiveContactError("stopped")
             if simulator.wait():
                 raise simulator.failure()
 
-    def judge(self) -> None:
+    def evaluate(self) -> None:
         """Score, replay and draw the recording."""
         import msgspec
 
@@ -256,7 +256,7 @@ class _Demo:
         traces = [*followed, dataclasses.replace(own, leg=f"{self._leg}\nfrozen")]
         write_plot(self._report, traces, "\n".join(lines), mark_s=self._drift_s)
         for line in (*lines, f"wrote {self._report}, {_MADE[1]} and {_MADE[0]}"):
-            say(line)
+            print_line(line)
 
     def _score(self, robot: Robot, events: Any = None, **within: float) -> Score:
         from adaptive_contact.score import score_messages

@@ -15,7 +15,7 @@ from adaptive_contact.checks.findings import Finding, Level
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import seconds_option
-from adaptive_contact.cli._output import say_json
+from adaptive_contact.cli._output import print_json
 from adaptive_contact.errors import needs
 from adaptive_contact.printable import printable
 
@@ -50,7 +50,7 @@ def doctor(
         found = error.finding
         diagnosis = Diagnosis(router=found.reach, router_line=found.line)
     if json:
-        say_json(diagnosis)
+        print_json(diagnosis)
     else:
         print_diagnosis(diagnosis)
     raise typer.Exit(diagnosis.exit_code)

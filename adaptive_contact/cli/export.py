@@ -15,7 +15,7 @@ from adaptive_contact.cli._options import (
     recorded_robot,
     refuse_to_replace,
 )
-from adaptive_contact.cli._output import say, say_note
+from adaptive_contact.cli._output import print_line, print_note
 from adaptive_contact.cli.score import read_events
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import load_robot
@@ -76,26 +76,26 @@ def export(
         name = read_recording(file).about.get("robot")
         robot = None if name is None else recorded_as(name)
         if name is not None and robot is None:
-            say_note(f"{file}: robot '{name}' is not drawn in {out}; --config draws it")
+            print_note(f"{file}: robot '{name}' is not drawn in {out}; --config draws it")
     given = None if events is None else read_events(events)
     recording = read_recording(file, robot)
     started_s = time.perf_counter()
     exported = export_recording(recording, out, to, robot, given)
     elapsed_s = time.perf_counter() - started_s
     for path, count in exported.files.items():
-        say(f"{path}: {count} messages, {path.stat().st_size / 1000:.0f} kB", err=True)
-    say(
+        print_line(f"{path}: {count} messages, {path.stat().st_size / 1000:.0f} kB", err=True)
+    print_line(
         f"{exported.span_s:.1f} s recorded in {elapsed_s:.2f} s "
         f"({exported.span_s / max(elapsed_s, 1e-9):.0f} x real time)",
         err=True,
     )
     if recording.damage is not None:
-        say(f"adaptive-contact: {file}: {recording.damage}", err=True)
+        print_line(f"adaptive-contact: {file}: {recording.damage}", err=True)
     for (key, why), count in exported.left_out.most_common(_SHOWN):
-        say(f"adaptive-contact: {file}: {count} messages on {key} left out: {why}", err=True)
+        print_line(f"adaptive-contact: {file}: {count} messages on {key} left out: {why}", err=True)
     if len(exported.left_out) > _SHOWN:
         more = len(exported.left_out) - _SHOWN
-        say(f"adaptive-contact: and {more} more such keys or reasons", err=True)
+        print_line(f"adaptive-contact: and {more} more such keys or reasons", err=True)
 
 
 def _check(file: Path, out: Path, to: ExportFormat, force: bool) -> None:

@@ -12,7 +12,7 @@ from adaptive_contact.checks.findings import REFUSED_FOR, SPOILS, Finding, of_le
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import option
-from adaptive_contact.cli._output import say, say_json, say_note
+from adaptive_contact.cli._output import print_json, print_line, print_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ContactTruth, Rejected, ServoSample, decode, leg_of_key
@@ -54,7 +54,7 @@ def fit(
     fit_gathered(
         gathered, robot, out, origin, free=free, anyway=anyway, json=json, equations=equations
     )
-    say(f"baseline written to {out}", err=True)
+    print_line(f"baseline written to {out}", err=True)
 
 
 def fit_gathered(
@@ -99,40 +99,40 @@ def fit_gathered(
             robot,
             streams,
             origin=origin,
-            progress=lambda leg: say(f"fitting leg {leg}", err=True),
+            progress=lambda leg: print_line(f"fitting leg {leg}", err=True),
         )
         worth = try_out(robot, streams, training)
     for reason in training.skipped.values():
-        say_note(f"left out: {reason}")
+        print_note(f"left out: {reason}")
     for leg_id, known in training.figures.items():
         if known.touched:
-            say_note(
+            print_note(
                 f"leg '{leg_id}': the foot seems to have touched in "
                 f"{known.touched} of {known.swings} swings; {known.outliers} ticks are left out: "
                 "record free swings, or with truth, to learn from all of them"
             )
         if not known.determined:
-            say_note(
+            print_note(
                 f"leg '{leg_id}': its motions are too few, or too alike, to determine all terms; "
                 "what is known of any leg stands in for the rest: record more motions, at every "
                 "speed that the leg will have"
             )
     ticks = min(tail.ticks for tail in training.baseline.tails)
     if ticks < MANY_TICKS:
-        say_note(
+        print_note(
             f"the thresholds rest on {ticks} free ticks, expected {MANY_TICKS}: "
             "they are cautious, and soft contacts will be missed; record more swings"
         )
     why = unusable(robot, training)
     if why is not None:
-        say_note(why)
+        print_note(why)
         if not anyway:
-            say_note("no baseline was written; --anyway writes it all the same")
+            print_note("no baseline was written; --anyway writes it all the same")
             raise typer.Exit(1)
     save_baseline(training.baseline, out)
     print_training(training, robot, json=json, equations=equations, worth=worth)
     for line in verdict(robot, training, worth):
-        say(line, err=json)
+        print_line(line, err=json)
 
 
 def try_out(
@@ -144,7 +144,7 @@ def try_out(
     from adaptive_contact.service.worth import split, worth
 
     parts = {leg: split(streams[leg]) for leg in training.figures}
-    say("trying it on stops in swings that are held out", err=True)
+    print_line("trying it on stops in swings that are held out", err=True)
     try:
         first = learn(robot, {leg: part for leg, (part, _) in parts.items()}, origin="held out")
     except IdentificationError:
@@ -204,16 +204,16 @@ def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> Gath
                 truth = decode(record.payload, ContactTruth, record.encoding)
                 if not isinstance(truth, Rejected):
                     leg.take_truth(truth)
-        opt.say_damage(recording)
+        opt.print_damage(recording)
         for line in robots.trouble(None):
-            say_note(f"{path}: {line}")
+            print_note(f"{path}: {line}")
         of = f"{path}: " if len(recordings) > 1 else ""
         for finding in check_streams(robot, samples, refused, legs.limits, of=of, refuse=refuse):
             for name in finding.legs:
                 causes.setdefault(name, set()).add(finding.cause)
     if strangers:
         absent = [name for name, leg in legs.items() if not leg.samples]
-        say_note(
+        print_note(
             f"not used: {of_legs(sorted(strangers))}, which robot "
             f"'{robot.name}' lacks"
             + (f"; it has {of_legs(absent)}, of which there are no samples" if absent else "")
@@ -242,7 +242,7 @@ def _tell_unused(
             left_out.setdefault(why, {})[name] = leg.off_rate
     for why, times_of in left_out.items():
         total = sum(times_of.values())
-        say_note(f"{of_legs(times_of)}: {total} samples not used: {why}")
+        print_note(f"{of_legs(times_of)}: {total} samples not used: {why}")
 
 
 def check_streams(
@@ -275,7 +275,7 @@ def check_streams(
         if finding.cause == "limits":
             limits.append(finding)
             continue
-        say_finding(finding, of)
+        print_finding(finding, of)
         if finding.level == "error" and finding.cause in SPOILS:
             spoilt.update(dict.fromkeys(finding.legs))
     if spoilt and refuse:
@@ -287,10 +287,10 @@ def check_streams(
     return found
 
 
-def say_finding(finding: Finding, of: str = "") -> None:
-    """Say one thing that is wrong, after what it is of."""
+def print_finding(finding: Finding, of: str = "") -> None:
+    """Print one thing that is wrong, after what it is of."""
     legs = f"{of_legs(finding.legs)}: " if finding.legs else ""
-    say_note(f"{of}{finding.level}: {legs}{finding.what}; {finding.remedy}")
+    print_note(f"{of}{finding.level}: {legs}{finding.what}; {finding.remedy}")
 
 
 def check_conventions(
@@ -315,18 +315,18 @@ def check_conventions(
     for leg, line in judge_recorded_ids(
         robot, {leg: one.last_run() for leg, one in gathered.items()}
     ).items():
-        say_note(f"leg '{leg}': {line}")
+        print_note(f"leg '{leg}': {line}")
     grave, found = [], set()
     for finding in judge_conventions(robot, gathered, hangs=bridge).findings:
         advice = finding.servo_advice(robot.leg(finding.leg)) if bridge else finding.advice
         line = f"leg '{finding.leg}': {finding.message}: {advice}"
-        say_note(line)
+        print_note(line)
         found.add(finding.leg)
         if finding.grave:
             grave.append(finding.leg)
     for entry in gathered.limits:
         if found.isdisjoint(entry.legs):
-            say_finding(entry)
+            print_finding(entry)
     if grave and refuse:
         raise ConfigurationError(
             f"leg {', '.join(grave)}: signs, order or zeros of the angles are not those of "
@@ -354,7 +354,7 @@ def print_training(
                 leg: known.model.equations() for leg, known in training.baseline.legs.items()
             },
         }
-        say_json(text, indent=2)
+        print_json(text, indent=2)
         return
 
     console = table_console()

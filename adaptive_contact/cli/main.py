@@ -21,9 +21,9 @@ from adaptive_contact import __version__
 from adaptive_contact.cli._output import (
     OutputLost,
     make_stdout_optional,
+    print_line,
+    print_note,
     protect_output,
-    say,
-    say_note,
 )
 from adaptive_contact.cli._signals import interrupt_once, on_signals
 from adaptive_contact.errors import AdaptiveContactError, missing_of_the_whole
@@ -66,7 +66,7 @@ _GROUPS: Final = ("sim", "bridge", "robot", "state", "scenarios")
 
 def _print_version(asked: bool) -> None:
     if asked:
-        say(f"adaptive-contact {__version__}")
+        print_line(f"adaptive-contact {__version__}")
         raise typer.Exit
 
 
@@ -158,26 +158,26 @@ def run() -> int:
     except typer.Abort as abort:
         if isinstance(abort.__cause__, KeyboardInterrupt):
             return _INTERRUPTED
-        say_note("nothing was done")
+        print_note("nothing was done")
         return 1
     except _Misunderstood as error:
         return _refuse(error)
     except AdaptiveContactError as error:
         first, *others = error.lines
-        say_note(first)
+        print_note(first)
         for line in others:
-            say(line, err=True)
+            print_line(line, err=True)
         return 2
     except ModuleNotFoundError as error:
         why = missing_of_the_whole(error)
         if why is None:
             raise
-        say_note(f"{' '.join(sys.argv[1:2])} {why}")
+        print_note(f"{' '.join(sys.argv[1:2])} {why}")
         return 2
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise
-        say_note(f"{error.filename or 'a file'} cannot be written ({error.strerror}); make room")
+        print_note(f"{error.filename or 'a file'} cannot be written ({error.strerror}); make room")
         return 2
     return code if isinstance(code, int) else 0
 
@@ -187,7 +187,7 @@ def _lost(cause: OSError) -> int:
     if isinstance(cause, BrokenPipeError):
         # As a shell has it: 128 + SIGPIPE.
         return 141
-    say_note(f"the output cannot be written ({cause.strerror}); make room, or send it elsewhere")
+    print_note(f"the output cannot be written ({cause.strerror}); make room, or send it elsewhere")
     return 2
 
 
@@ -198,7 +198,7 @@ def _refuse(error: Any) -> int:
         return int(error.exit_code)
     path = "adaptive-contact" if error.ctx is None else error.ctx.command_path
     words = " ".join(error.format_message().replace("Value error, ", "").split()).rstrip(".")
-    say_note(f"{words}; see `{path} --help`")
+    print_note(f"{words}; see `{path} --help`")
     return int(error.exit_code)
 
 

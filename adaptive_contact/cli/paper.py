@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from adaptive_contact.cli._options import ForceOption, option, refuse_to_replace
-from adaptive_contact.cli._output import say
+from adaptive_contact.cli._output import print_line
 from adaptive_contact.cli._sim_options import needs_studies
 
 
@@ -40,4 +40,4 @@ def paper(
     write_report(results, out)
     if docs is not None:
         write_document(results, docs)
-    say(f"wrote {docs or out / 'paper.md'} and {out / 'results.json'}")
+    print_line(f"wrote {docs or out / 'paper.md'} and {out / 'results.json'}")

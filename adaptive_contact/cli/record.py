@@ -15,7 +15,7 @@ import typer
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._options import option, seconds_option
-from adaptive_contact.cli._output import make_stdout_optional, overwrite, say, say_note
+from adaptive_contact.cli._output import make_stdout_optional, overwrite, print_line, print_note
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.printable import printable
 from adaptive_contact.robot import load_robot
@@ -93,7 +93,7 @@ def record(
                 writer = SplitWriter(file, about, scene, max_bag_duration, keep)
             stack.enter_context(writer)
             recorder = Recorder(link, writer, key)
-            say(f"recording {key} to {file}; stop with Ctrl-C", err=True)
+            print_line(f"recording {key} to {file}; stop with Ctrl-C", err=True)
             recorder.run(
                 stop, seconds, (lambda: _progress(recorder.counts, started_s)) if live else None
             )
@@ -122,15 +122,15 @@ def _report(
 ) -> None:
     size_kb = sum(file.stat().st_size for file in files) / 1000
     where = str(files[0]) if len(files) == 1 else f"{files[0]} to {files[-1].name}"
-    say(
+    print_line(
         f"{counts.total()} messages of {len(counts)} keys in {elapsed_s:.1f} s, "
         f"{size_kb:.0f} kB in {where}"
     )
     width = max((len(printable(name)) for name in counts), default=0)
     for name in sorted(counts):
         rate = counts[name] / elapsed_s
-        say(f"  {printable(name):{width}}  {counts[name]:8d}  {rate:7.1f} /s")
+        print_line(f"  {printable(name):{width}}  {counts[name]:8d}  {rate:7.1f} /s")
     if not counts:
-        say_note(
+        print_note(
             f"nothing was received on '{key}'; `adaptive-contact doctor` shows who publishes what"
         )

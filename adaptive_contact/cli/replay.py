@@ -17,7 +17,7 @@ from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_tick
 from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._options import option
-from adaptive_contact.cli._output import say, say_note
+from adaptive_contact.cli._output import print_line, print_note
 from adaptive_contact.core.learn.mode import WhenAmbiguous
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.files import write_file
@@ -157,7 +157,7 @@ def _to_events(
             file.write(encode(event, JSON) + b"\n")
             written += 1
     elapsed_s = time.perf_counter() - started_s
-    say(
+    print_line(
         f"{written} events from {counts.samples} samples in {counts.ticks} ticks "
         f"({counts.span_s:.1f} s recorded) in {elapsed_s:.2f} s, "
         f"{counts.samples / max(elapsed_s, 1e-9):.0f} leg-ticks/s",
@@ -166,7 +166,7 @@ def _to_events(
     _warn(recording, counts)
     signs = _tell_legs(bank, robots.faults(robot))
     for line in robots.trouble(robot, signs):
-        say_note(f"{recording.path}: {line}")
+        print_note(f"{recording.path}: {line}")
     if counts.samples == 0:
         usable = "usable " if counts.rejects else ""
         raise RecordingError(f"{recording.path}: no {usable}servo sample (robot/leg/*/servo) in it")
@@ -220,7 +220,7 @@ def _tell_legs(bank: LearnerBank, faults: Iterable[tuple[str, Fault]]) -> list[s
             (leg in signs or leg not in known) and status.note,
         )
         if any(words):
-            say_note(f"leg '{leg}': {', '.join(word for word in words if word)}")
+            print_note(f"leg '{leg}': {', '.join(word for word in words if word)}")
     return signs
 
 
@@ -245,12 +245,12 @@ def _to_wire(
         player.play(robots, stop)
         elapsed_s = time.perf_counter() - started_s
     if speed is None:
-        say_note(
+        print_note(
             "a service drops samples that come faster than it can judge them (`overflow` in "
             "`watch`); to judge a recording at full speed, use --events"
         )
     behind = f", up to {player.behind_s:.2f} s behind" if player.behind_s > 0.1 else ""
-    say(
+    print_line(
         f"{player.sent.total()} of {player.counts.messages} messages published on "
         f"{len(player.sent)} keys in {elapsed_s:.1f} s "
         f"({player.counts.span_s:.1f} s recorded{behind})",
@@ -258,7 +258,7 @@ def _to_wire(
     )
     _warn(recording, player.counts)
     for line in robots.trouble(None):
-        say_note(f"{recording.path}: {line}")
+        print_note(f"{recording.path}: {line}")
     if player.sent.total() == 0 and not stop.is_set():
         raise RecordingError(
             f"{recording.path}: nothing to publish, there is no servo sample and no truth in it"
@@ -266,8 +266,8 @@ def _to_wire(
 
 
 def _warn(recording: Recording, counts: Counts) -> None:
-    opt.say_damage(recording)
+    opt.print_damage(recording)
     rejected = counts.rejects.total()
     if rejected:
         reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(counts.rejects.items()))
-        say_note(f"{recording.path}: {rejected} samples not used: {reasons}")
+        print_note(f"{recording.path}: {rejected} samples not used: {reasons}")

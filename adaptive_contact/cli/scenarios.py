@@ -19,7 +19,7 @@ from adaptive_contact.cli._options import (
     option,
     refuse_to_replace,
 )
-from adaptive_contact.cli._output import say, say_json
+from adaptive_contact.cli._output import print_json, print_line
 from adaptive_contact.cli._sim_options import needs_studies
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
@@ -55,7 +55,7 @@ def list_(json: JsonOption = False) -> None:
             }
             for s in known
         ]
-        say_json(jsonlib.dumps(rows, indent=2))
+        print_json(jsonlib.dumps(rows, indent=2))
         return
 
     console = table_console()
@@ -116,10 +116,10 @@ def run(
     text = jsonlib.dumps(tree, indent=1, allow_nan=False) + "\n"
     write_file(out / RESULTS, text, advice="give another folder with --out")
     if json:
-        say_json(jsonlib.dumps(tree, indent=2))
+        print_json(jsonlib.dumps(tree, indent=2))
     else:
         print_markdown(table(tree))
-    say(f"figures in {out / RESULTS}", err=True)
+    print_line(f"figures in {out / RESULTS}", err=True)
 
 
 @app.command()
@@ -137,4 +137,4 @@ def report(
         from adaptive_contact_studies.scenarios.report import write_report
         from adaptive_contact_studies.scenarios.results import read_results
 
-    say(str(write_report(read_results(out / RESULTS), docs)))
+    print_line(str(write_report(read_results(out / RESULTS), docs)))

@@ -11,7 +11,7 @@ import typer
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import option, seconds_option
-from adaptive_contact.cli._output import say_json, say_note
+from adaptive_contact.cli._output import print_json, print_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.wire import JSON, MAX_PAYLOAD_BYTES, ContactEvent, Rejected, decode
 
@@ -90,15 +90,15 @@ def score(
         raise RecordingError(f"{'' if named else f'{recording}: '}{error}{cut}") from error
     finally:
         for line in (*robots.trouble(robot), *source.notes):
-            say_note(f"{recording}: {line}")
+            print_note(f"{recording}: {line}")
     if robots.spoilt(robot) and not anyway:
         raise _nothing_judged(recording)
     if source.damage is not None:
-        say_note(f"{recording}: {source.damage}")
+        print_note(f"{recording}: {source.damage}")
     if json:
         about = {"recording": str(recording), "truncated": source.damage is not None}
         found = {name: as_json(result) for name, result in results.items()}
-        say_json(about | (found if frozen else found[""]), indent=2)
+        print_json(about | (found if frozen else found[""]), indent=2)
         return
     for name, result in results.items():
         if name:

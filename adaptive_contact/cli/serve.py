@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from adaptive_contact import __version__
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_in_view, compile_tick, first_start
-from adaptive_contact.cli._link import open_link, take_realtime
+from adaptive_contact.cli._link import enable_realtime, open_link
 from adaptive_contact.cli._options import option
-from adaptive_contact.cli._output import make_stdout_optional, say
+from adaptive_contact.cli._output import make_stdout_optional, print_line
 from adaptive_contact.core.learn.mode import WhenAmbiguous
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Robot
@@ -119,7 +119,7 @@ def serve(
     threadpool_limits(1)  # matrices this small only wait for each other in threads
     # Before Zenoh makes its threads: an event passes through them.
     # In real-time priority, behind a bridge on the same computer: a reading missed is lost.
-    take_realtime(realtime, below=5)
+    enable_realtime(realtime, below=5)
     robot = opt.described_robot(config)
     learned, origin = opt.learned_of(robot, config, baseline)
     configure(settings)  # what is wrong shows before a minute of compiling
@@ -153,7 +153,7 @@ def serve(
             described_only=described_only,
         )
         sweeper.start(time.monotonic_ns())
-        say(_ready_line(link, robot, origin))
+        print_line(_ready_line(link, robot, origin))
         refitter.start()
         service.run(stop)
     finally:

@@ -16,7 +16,7 @@ from rich.table import Table
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import option, seconds_option
-from adaptive_contact.cli._output import make_stdout_optional, say, say_json, say_waiting
+from adaptive_contact.cli._output import make_stdout_optional, print_json, print_line, print_waiting
 from adaptive_contact.cli._sim_options import (
     ReactOption,
     RunOptions,
@@ -54,10 +54,10 @@ def baseline(
     description = simulated_robot(robot).description
     with threadpool_limits(1):
         work = Work(None, processes, shown=True)
-        training = learn_shipped(robot, work, progress=lambda line: say(line, err=True))
+        training = learn_shipped(robot, work, progress=lambda line: print_line(line, err=True))
     save_baseline(training.baseline, out)
     print_training(training, description, json=json, equations=equations)
-    say(f"baseline written to {out}", err=True)
+    print_line(f"baseline written to {out}", err=True)
 
 
 app = typer.Typer(help="The simulated robot: in pose, walking, drifting.", no_args_is_help=True)
@@ -234,7 +234,7 @@ def compare(
             "seeds": [*range(seed, seed + seeds)],
             "drift": [{**to_builtins(one.drift), "at_s": one.at_s} for one in settings.drift],
         }
-        say_json(jsonlib.dumps(walked | shown.tree(found), indent=2))
+        print_json(jsonlib.dumps(walked | shown.tree(found), indent=2))
     else:
         table_console().print(shown.table(found))
 
@@ -270,7 +270,7 @@ def inject(
         fields = given(kind=kind, value=value, leg=leg, joint=joint, shape=shape)
         fields |= {"duration_s": duration, "seed": seed}
         drift = drift_from(fields, where=f"drift '{kind}'", layout=None).drift
-    with Link.open(network.client(wait=False), on_wait=say_waiting) as link:
+    with Link.open(network.client(wait=False), on_wait=print_waiting) as link:
         replies = link.query(SIM_DRIFT, drift)
     if not replies:
         raise LinkError(
@@ -283,14 +283,14 @@ def inject(
     if not answer.ok:
         raise ConfigurationError(f"the simulator refused: {answer.error}")
     if json:
-        say_json(encode(answer, "application/json").decode())
+        print_json(encode(answer, "application/json").decode())
         return
     clock = time.strftime("%H:%M:%S", time.localtime(answer.t_ns / 1e9))
-    say(f"in force at {clock}:" + ("" if answer.holds else " nothing drifts"))
+    print_line(f"in force at {clock}:" + ("" if answer.holds else " nothing drifts"))
     for name, legs in answer.holds.items():
         for one, joints in legs.items():
             values = "  ".join(f"{j} {v:g}" for j, v in joints.items())
-            say(f"  {name:11} {one}  {values}")
+            print_line(f"  {name:11} {one}  {values}")
 
 
 @app.command("list")
@@ -308,7 +308,7 @@ def list_(json: opt.JsonOption = False) -> None:
             },
             "drift": {name: kind._asdict() for name, kind in KINDS.items()},
         }
-        say_json(jsonlib.dumps(table, indent=2))
+        print_json(jsonlib.dumps(table, indent=2))
         return
 
     console = table_console()

@@ -17,7 +17,7 @@ from adaptive_contact.cli._options import (
     StateOption,
     option,
 )
-from adaptive_contact.cli._output import say, say_json
+from adaptive_contact.cli._output import print_json, print_line
 from adaptive_contact.durations import duration
 from adaptive_contact.errors import ConfigurationError, reason_of
 from adaptive_contact.printable import printable
@@ -44,10 +44,10 @@ def show(
     """List what is kept: of which robot and leg, how old, and whether it is sound."""
     rows = [_row(stored) for stored in _found(state, robot, leg)]
     if json:
-        say_json(rows, indent=2)
+        print_json(rows, indent=2)
         return
     if not rows:
-        say(f"no state in {shown_path(_folder(state))}")
+        print_line(f"no state in {shown_path(_folder(state))}")
         return
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
@@ -65,11 +65,11 @@ def show(
             "sound" if row["refused"] is None else "refused",
             printable(Path(row["file"]).name),
         )
-    say(f"in {shown_path(_folder(state))}")
+    print_line(f"in {shown_path(_folder(state))}")
     table_console(pipe_width=160).print(table)
     for row in rows:
         if row["refused"] is not None:
-            say(f"{Path(row['file']).name}: {row['refused']}")
+            print_line(f"{Path(row['file']).name}: {row['refused']}")
 
 
 @app.command()
@@ -96,7 +96,7 @@ def reset(
                 f"nothing of {' of '.join(asked)} is kept in {shown_path(root)}; `adaptive-contact "
                 "state show` lists what is"
             )
-        say(f"nothing to forget in {shown_path(root)}")
+        print_line(f"nothing to forget in {shown_path(root)}")
         return
     with contextlib.ExitStack() as held:
         # Before the question is asked; no service begins to save before it is answered.
@@ -120,7 +120,7 @@ def reset(
                 path.unlink(missing_ok=True)
             except OSError as error:
                 raise ConfigurationError(f"{path}: cannot be removed ({error.strerror})") from error
-    say(f"forgot {len(found)} files")
+    print_line(f"forgot {len(found)} files")
 
 
 def _folder(state: Path | None) -> Path:

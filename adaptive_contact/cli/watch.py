@@ -14,7 +14,7 @@ from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._link import open_link
 from adaptive_contact.cli._options import option, seconds_option
-from adaptive_contact.cli._output import say_json
+from adaptive_contact.cli._output import print_json
 from adaptive_contact.cli._web import WEB_PANEL, Page, serve_page
 from adaptive_contact.errors import ConfigurationError
 
@@ -76,7 +76,7 @@ def watch(
             elif time.monotonic() >= due_s:
                 due_s += seconds
                 if json:
-                    say_json(view)
+                    print_json(view)
                 else:
                     console.print(table(view, console.width))
                 if once:

@@ -192,11 +192,12 @@ def test_a_command_that_runs_until_it_is_stopped_loses_its_lines(
 def test_letters_that_the_locale_lacks_are_escaped(errors: str) -> None:
     """A robot's name ends no command, and JSON stays JSON."""
     script = (
-        "from adaptive_contact.cli._output import protect_output, say, say_json, say_note\n"
+        "from adaptive_contact.cli._output import print_json, print_line, print_note\n"
+        "from adaptive_contact.cli._output import protect_output\n"
         "protect_output()\n"
-        "say('k\\u00e4fer \\u5de6')\n"
-        "say_note('k\\u00e4fer')\n"
-        'say_json(\'{"robot":"k\\u00e4fer \\U0001f916"}\')\n'
+        "print_line('k\\u00e4fer \\u5de6')\n"
+        "print_note('k\\u00e4fer')\n"
+        'print_json(\'{"robot":"k\\u00e4fer \\U0001f916"}\')\n'
     )
     env = {**BUFFERED, "PYTHONIOENCODING": f"ascii{errors}", "PYTHONUTF8": "0"}
     done = subprocess.run(
