@@ -116,7 +116,7 @@ def serve_page(settings: WebSettings, link_settings: LinkSettings, *, browse: bo
 
         link = open_link(link_settings, stop, on_wait=waiting)
         stack.callback(link.close)
-        page.follow(link)
+        page.show_service(link)
         stack.callback(page.close)  # before the link that it asks
         page.wait(stop)
 

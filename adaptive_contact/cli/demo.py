@@ -170,7 +170,7 @@ class _Demo:
             link = stack.enter_context(Link.open(settings))
             feed = Feed(link)
             if page is not None:
-                page.follow(stack.enter_context(Link.open(settings)))
+                page.show_service(stack.enter_context(Link.open(settings)))
                 stack.callback(page.leave)
             about = {"robot": self._walker.description.name}
             writer = stack.enter_context(RecordingWriter(self._recording, about))

@@ -93,12 +93,12 @@ class BagWriter:
         elif isinstance(message, ContactEvent) and names:
             changed = self._report.change(message)
             if changed is not None:
-                self._put(contact, RosType.BOOL, changed, time_ns)
+                self._write_payload(contact, RosType.BOOL, changed, time_ns)
             ages_ns = {of: time_ns - at_ns for of, at_ns in self._newest_ns.items()}
             # A leg is known while its newest sample is no older.
             known = {of for of, age_ns in ages_ns.items() if age_ns <= 500_000_000}
             every = self._report.all_legs({of: ns / 1e9 for of, ns in ages_ns.items()}, known)
-            self._put(self._report.values.topic, RosType.JOINT_VALUES, every, time_ns)
+            self._write_payload(self._report.values.topic, RosType.JOINT_VALUES, every, time_ns)
         else:
             return False
         return True
@@ -114,9 +114,9 @@ class BagWriter:
         )
 
     def _add(self, topic: str, message: Any, time_ns: int) -> None:
-        self._put(topic, message.__msgtype__, self._types.encode(message), time_ns)
+        self._write_payload(topic, message.__msgtype__, self._types.encode(message), time_ns)
 
-    def _put(self, topic: str, kind: str, payload: bytes, time_ns: int) -> None:
+    def _write_payload(self, topic: str, kind: str, payload: bytes, time_ns: int) -> None:
         if topic not in self._connections:
             latched = () if kind == RosType.JOINT_STATE else (_LATCHED,)
             self._connections[topic] = self._writer.add_connection(

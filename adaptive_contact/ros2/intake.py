@@ -186,10 +186,10 @@ class Intake:
             self._refuse(topic, "unreadable", f"a message is no {type_name} ({error}); not used")
         return None
 
-    def take(
+    def convert(
         self, topic: str, type_name: str, message: Any, origin: Origin
     ) -> Sequence[tuple[str, Message]]:
-        """Process a message.
+        """Convert a ROS 2 message to samples and truths of legs.
 
         Returns:
             (leg, sample or truth) that it makes.

@@ -153,7 +153,7 @@ class Report:
             gateway: what the gateway has counted.
             trouble: what is wrong with the gateway, None where nothing is.
         """
-        rows = [self._of_learner(one, leg in valid) for leg, one in sorted(learners.items())]
+        rows = [self._describe_learner(one, leg in valid) for leg, one in sorted(learners.items())]
         level = OK if trouble is None else ERROR
         text = "relays" if trouble is None else trouble
         rows.append(self._row(level, f"{self._node}: gateway", text, gateway))
@@ -161,7 +161,7 @@ class Report:
         message = types[RosType.DIAGNOSTICS](header=header(self._types, now_ns), status=rows)
         return self._types.encode(message)
 
-    def _of_learner(self, status: LearnerStatus, valid: bool) -> Any:
+    def _describe_learner(self, status: LearnerStatus, valid: bool) -> Any:
         text = status.note or f"{status.status}: {_MEANS[status.status]}"
         if not valid and status.status != "silent":
             text = f"not known: no word of the service; was {text}"

@@ -263,7 +263,7 @@ class Gateway:
             origin = Origin(b"", None, received.published_ns or time.time_ns())
         else:
             origin = Origin(attached.publisher, attached.seq, attached.time_ns)
-        for leg, sample in self.intake.take(topic, address.type, message, origin):
+        for leg, sample in self.intake.convert(topic, address.type, message, origin):
             if isinstance(sample, ServoSample):
                 self._samples[leg].put(sample)
                 self.relayed += 1

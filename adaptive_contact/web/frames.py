@@ -68,7 +68,7 @@ class Frames:
         )
         if not rows:
             return
-        self._follow(trace.leg, rows[-1][0], now_ns)
+        self._update_offset(trace.leg, rows[-1][0], now_ns)
         outline = trace.places_m[:32]  # what is more, or 100 m off, is no leg
         places = [value for place in outline for value in place[:2]]
         if len(places) == 2 * len(outline) and all(abs(value) < 100.0 for value in places):
@@ -133,7 +133,7 @@ class Frames:
         self._ticks, self._places = {}, {}
         return encoded
 
-    def _follow(self, leg: str, newest_ns: int, now_ns: int) -> None:
+    def _update_offset(self, leg: str, newest_ns: int, now_ns: int) -> None:
         """Update a leg's clock offset by a tick that has just arrived."""
         known = self._offsets.get(leg)
         # A source's clock has jumped where a tick is this far from the time of its arrival: a

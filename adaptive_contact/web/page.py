@@ -57,7 +57,7 @@ class LivePage:
         self._fault: BaseException | None = None
         self._server = self._thread("page-server", self._site.serve_forever)
         self._feeder = self._thread("page-feeder", self._feed)
-        self._asker = self._thread("page-asker", self._ask)
+        self._asker = self._thread("page-asker", self._poll_traces)
         for thread in (self._server, self._feeder, self._asker):
             thread.start()
 
@@ -73,10 +73,10 @@ class LivePage:
         return self._site.url
 
     def waits_for(self, what: str, remedy: str, level: Level = "error") -> None:
-        """Show why there is nothing to see, until :meth:`follow`, and what to do."""
+        """Show why there is nothing to see, until :meth:`show_service`, and what to do."""
         self._waiting = Finding(level, None, what, remedy)
 
-    def follow(self, link: Link) -> None:
+    def show_service(self, link: Link) -> None:
         """Show the service behind a link, which its owner closes after the page."""
         self._reader = TraceReader(link)
         self._link = link
@@ -197,8 +197,8 @@ class LivePage:
 
     # -- the asking thread ---------------------------------------------------------------------
 
-    def _ask(self) -> None:
-        """Ask the service for the ticks since the last question, where one is there."""
+    def _poll_traces(self) -> None:
+        """Poll the service for the ticks since the last query, where one is there."""
         while not self._stop.wait(FRAME_S):
             view = self._view
             if self._reader is None or view is None or not view.alive or not view.connected:

@@ -48,7 +48,7 @@ class Rig:
         self.problems: list[tuple[str, Reason, str]] = []
         self.intake = Intake(robot, 1000, lambda *found: self.problems.append(found))
 
-    def take(
+    def convert(
         self,
         topic: str,
         name: str,
@@ -60,7 +60,7 @@ class Rig:
     ) -> dict[str, Any]:
         if name == RosType.CONTROLLER_STATE:
             message = read_state(message)
-        return dict(self.intake.take(topic, name, message, Origin(by, seq, time_ns)))
+        return dict(self.intake.convert(topic, name, message, Origin(by, seq, time_ns)))
 
     @property
     def reasons(self) -> list[Reason]:
@@ -80,7 +80,7 @@ def made():
 def state(rig: Rig, made: Any, joints: list[str], seq: int | None, **origin: Any) -> dict[str, Any]:
     angles = [0.1 * i for i in range(len(joints))]
     message = made.state(joints, angles, [-a for a in angles], origin.pop("stamp", 10**9))
-    return rig.take("/legs/controller_state", RosType.CONTROLLER_STATE, message, seq, **origin)
+    return rig.convert("/legs/controller_state", RosType.CONTROLLER_STATE, message, seq, **origin)
 
 
 @pytest.mark.parametrize("kind", ["jazzy", "2023", "humble", "old"])
@@ -143,7 +143,7 @@ def test_a_reading_that_is_nan_is_the_last_one_and_not_valid(rig, made, joints) 
     state(used, made, joints, 1)
     angles = [0.5, math.nan, 0.5, 0.5, 0.5, 0.5]
     message = made.state(joints, angles, [0.0] * 6)
-    got = used.take("/legs/controller_state", RosType.CONTROLLER_STATE, message, 2)
+    got = used.convert("/legs/controller_state", RosType.CONTROLLER_STATE, message, 2)
     assert got["lf"].measured == pytest.approx([0.5, 0.1, 0.5])
     assert got["lf"].valid == [True, False, True]
     assert got["rf"].valid is None
@@ -155,7 +155,7 @@ def test_a_reference_that_is_nan_takes_its_leg_only(rig, made, joints) -> None:
     used = rig()
     state(used, made, joints, 1)
     told = [0.0, 0.0, math.inf, 0.0, 0.0, 0.0]
-    got = used.take(
+    got = used.convert(
         "/legs/controller_state", RosType.CONTROLLER_STATE, made.state(joints, [0.0] * 6, told), 2
     )
     assert set(got) == {"rf"}
@@ -182,7 +182,7 @@ def test_a_joint_named_twice_takes_its_leg_only(rig, made, joints) -> None:
 
     commanded = rig(BOTH)
     twice = made.joints([*joints, "rf_t"], [1.0] * 6 + [2.0])
-    commanded.take("/commands", RosType.JOINT_STATE, twice)
+    commanded.convert("/commands", RosType.JOINT_STATE, twice)
     assert set(read(commanded, made, joints, 1)) == {"lf"}
     assert commanded.reasons == ["named_twice", "no_command"]
 
@@ -207,7 +207,7 @@ def test_names_that_change_their_order_with_each_message_are_followed(rig, made,
     for seq, names in enumerate(itertools.islice(itertools.permutations(joints), 200)):
         angles = [0.1 * joints.index(name) for name in names]
         message = made.state(list(names), angles, angles)
-        got = used.take("/legs/controller_state", RosType.CONTROLLER_STATE, message, seq)
+        got = used.convert("/legs/controller_state", RosType.CONTROLLER_STATE, message, seq)
         assert got["rf"].measured == got["rf"].desired == pytest.approx([0.3, 0.4, 0.5])
     assert not used.problems
 
@@ -215,30 +215,30 @@ def test_names_that_change_their_order_with_each_message_are_followed(rig, made,
 def test_positions_that_are_not_there_are_told(rig, made, joints) -> None:
     used = rig()
     message = made.state(joints, [], [0.0] * 6)
-    assert used.take("/legs/controller_state", RosType.CONTROLLER_STATE, message, 1) == {}
+    assert used.convert("/legs/controller_state", RosType.CONTROLLER_STATE, message, 1) == {}
     assert used.reasons == ["no_positions"]
 
 
 def read(rig: Rig, made: Any, joints: list[str], seq: int) -> dict[str, Any]:
     message = made.joints(joints, [0.1] * len(joints))
-    return rig.take("/joint_states", RosType.JOINT_STATE, message, seq)
+    return rig.convert("/joint_states", RosType.JOINT_STATE, message, seq)
 
 
 def test_joint_states_take_the_command_in_force(rig, made, joints) -> None:
     used = rig(BOTH)
     assert read(used, made, joints, 1) == {}
     assert used.reasons == ["no_command"] * 2
-    used.take("/commands", RosType.JOINT_STATE, made.joints(joints[:4], [1.0, 2.0, 3.0, 4.0]))
+    used.convert("/commands", RosType.JOINT_STATE, made.joints(joints[:4], [1.0, 2.0, 3.0, 4.0]))
     got = read(used, made, joints, 2)
     assert set(got) == {"lf"}
     assert got["lf"].desired == [1.0, 2.0, 3.0]
-    used.take("/commands", RosType.TRAJECTORY, made.trajectory(joints[4:], [[5.0, 6.0]]))
+    used.convert("/commands", RosType.TRAJECTORY, made.trajectory(joints[4:], [[5.0, 6.0]]))
     assert read(used, made, joints, 3)["rf"].desired == [4.0, 5.0, 6.0]
 
 
 def test_joint_states_may_come_in_parts(rig, made, joints) -> None:
     used = rig(BOTH)
-    used.take("/commands", RosType.JOINT_STATE, made.joints(joints, [0.0] * 6))
+    used.convert("/commands", RosType.JOINT_STATE, made.joints(joints, [0.0] * 6))
     parts = [read(used, made, joints[at : at + 3], seq) for seq, at in ((1, 0), (2, 3), (5, 0))]
     assert [list(part) for part in parts] == [["lf"], ["rf"], ["lf"]]
     assert not used.problems
@@ -249,9 +249,9 @@ def test_a_leg_that_moves_without_commands_gives_no_samples(rig, made, joints) -
 
     def reads(seq: int, angle: float) -> set[str]:
         message = made.joints(joints, [angle] * 3 + [0.0] * 3)
-        return set(used.take("/joint_states", RosType.JOINT_STATE, message, seq))
+        return set(used.convert("/joint_states", RosType.JOINT_STATE, message, seq))
 
-    used.take("/commands", RosType.JOINT_STATE, made.joints(joints, [0.0] * 6))
+    used.convert("/commands", RosType.JOINT_STATE, made.joints(joints, [0.0] * 6))
     # On its way to its last command, however slow, it moves, too; then it holds its pose.
     assert all(reads(seq, max(1.0 - 0.006 * seq, 0.02)) == {"lf", "rf"} for seq in range(200))
     assert not used.problems
@@ -263,34 +263,34 @@ def test_a_leg_that_moves_without_commands_gives_no_samples(rig, made, joints) -
     assert (
         "leg 'lf' goes elsewhere, and its last command is more than 1 s old" in used.problems[0][2]
     )
-    used.take("/commands", RosType.JOINT_STATE, made.joints(joints[:3], [0.1] * 3))
+    used.convert("/commands", RosType.JOINT_STATE, made.joints(joints[:3], [0.1] * 3))
     assert reads(225, 0.1) == {"lf", "rf"}
 
 
 def test_an_array_needs_its_order(rig, made, joints) -> None:
     values = made.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     used = rig(BOTH)
-    used.take("/commands", RosType.ARRAY, values)
+    used.convert("/commands", RosType.ARRAY, values)
     assert used.reasons == ["no_positions"]
     ordered = rig(f"{BOTH}\ncommand_joints = {joints[::-1]}".replace("'", '"'))
-    ordered.take("/commands", RosType.ARRAY, values)
+    ordered.convert("/commands", RosType.ARRAY, values)
     assert read(ordered, made, joints, 1)["lf"].desired == [6.0, 5.0, 4.0]
-    ordered.take("/commands", RosType.ARRAY, made.array([1.0]))
+    ordered.convert("/commands", RosType.ARRAY, made.array([1.0]))
     assert ordered.reasons == ["no_positions"]
 
 
 def test_what_is_no_command_is_told(rig, made, joints) -> None:
     used = rig(BOTH)
-    used.take("/commands", RosType.JOINT_STATE, made.joints(["q1", "q2"], [0.0, 0.0]))
-    used.take("/commands", RosType.TRAJECTORY, made.trajectory(joints, [[0.0] * 6, [1.0] * 6]))
+    used.convert("/commands", RosType.JOINT_STATE, made.joints(["q1", "q2"], [0.0, 0.0]))
+    used.convert("/commands", RosType.TRAJECTORY, made.trajectory(joints, [[0.0] * 6, [1.0] * 6]))
     assert used.reasons == ["unmapped", "trajectory"]
     assert "q1, q2 belong to no leg" in used.problems[0][2]
 
 
 def test_a_command_that_is_nan_leaves_the_last_one(rig, made, joints) -> None:
     used = rig(BOTH)
-    used.take("/commands", RosType.JOINT_STATE, made.joints(joints, [0.5] * 6))
-    used.take("/commands", RosType.JOINT_STATE, made.joints(joints, [math.nan] + [0.6] * 5))
+    used.convert("/commands", RosType.JOINT_STATE, made.joints(joints, [0.5] * 6))
+    used.convert("/commands", RosType.JOINT_STATE, made.joints(joints, [math.nan] + [0.6] * 5))
     assert read(used, made, joints, 1)["lf"].desired == [0.5, 0.6, 0.6]
     assert used.reasons == ["not_finite"]
 
@@ -298,23 +298,23 @@ def test_a_command_that_is_nan_leaves_the_last_one(rig, made, joints) -> None:
 def test_phase_and_foot_switches_are_of_their_leg(rig, made, joints) -> None:
     used = rig(STATE + '\nphase = "/gait/{leg}/swing"\ntruth = "/feet/{leg}"')
     assert (
-        used.take("/feet/lf", RosType.BOOL, made.flag(False), time_ns=79 * 10**9) == {}
+        used.convert("/feet/lf", RosType.BOOL, made.flag(False), time_ns=79 * 10**9) == {}
     )  # no clock yet
-    used.take("/gait/rf/swing", RosType.BOOL, made.flag(True))
+    used.convert("/gait/rf/swing", RosType.BOOL, made.flag(True))
     message = read_state(made.state(joints, [0.0] * 6, [0.0] * 6, 50 * 10**9))
     origin = Origin(A, 1, 80 * 10**9)
     got = dict(
-        used.intake.take("/legs/controller_state", RosType.CONTROLLER_STATE, message, origin)
+        used.intake.convert("/legs/controller_state", RosType.CONTROLLER_STATE, message, origin)
     )
     assert (got["rf"].phase, got["lf"].phase) == ("swing", None)
-    used.take("/gait/rf/swing", RosType.BOOL, made.flag(False))
+    used.convert("/gait/rf/swing", RosType.BOOL, made.flag(False))
     assert state(used, made, joints, 2)["rf"].phase == "stance"
     state(used, made, joints, 3, stamp=51 * 10**9, time_ns=81 * 10**9)
-    truth: ContactTruth = used.take("/feet/rf", RosType.BOOL, made.flag(True), time_ns=82 * 10**9)[
-        "rf"
-    ]
+    truth: ContactTruth = used.convert(
+        "/feet/rf", RosType.BOOL, made.flag(True), time_ns=82 * 10**9
+    )["rf"]
     assert (truth.contact, truth.t_ns) == (True, 52 * 10**9)
-    assert used.take("/feet/rf", RosType.BOOL, made.flag(True), time_ns=83 * 10**9) == {}
+    assert used.convert("/feet/rf", RosType.BOOL, made.flag(True), time_ns=83 * 10**9) == {}
 
 
 def test_complaints_are_counted_and_said_now_and_then() -> None:

@@ -98,7 +98,7 @@ def test_answers_of_strangers_stop_nothing(router: Link) -> None:
 
         own.queryable(trace_key("*"), answer)
         service = Service(own)
-        live.follow(link)
+        live.show_service(link)
 
         def drawn(found: dict[str, Any]) -> bool:
             service.say()
@@ -151,7 +151,7 @@ def test_a_recording_has_what_came_and_its_marks(router: Link, tmp_path: Path) -
     ):
         assert "?token=" in live.url, "who may write files has shown a token, on loopback, too"
         assert act(live, "/record/start") == (409, "there is no router yet; nothing to record\n")
-        live.follow(link)
+        live.show_service(link)
         assert act(live, "/mark?t=1&label=x") == (409, "nothing is being recorded\n")
         # Nothing that is asked names the file.
         status, state = act(live, "/record/start?file=../../evil&name=/tmp/evil")
@@ -243,7 +243,7 @@ def test_a_recording_ends_by_itself_and_with_the_page(
     recordings.start(router)
     until(lambda: not recordings.state()["running"])
     with LivePage(WebSettings(record_to=tmp_path)) as live:
-        live.follow(router)
+        live.show_service(router)
         file = json.loads(act(live, "/record/start")[1])["file"]
     assert Recording(tmp_path / file).about["key"] == "robot/**"
     assert not list(Recording(tmp_path / file))

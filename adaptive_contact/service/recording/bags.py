@@ -100,7 +100,7 @@ class Bag(Recording):
             if content is None:
                 continue
             origin = Origin(b"", None, at_ns)
-            for leg, made in intake.take(record.key, self.types[record.key][0], content, origin):
+            for leg, made in intake.convert(record.key, self.types[record.key][0], content, origin):
                 key = truth_key(leg) if isinstance(made, ContactTruth) else servo_key(leg)
                 yield Record(key, encode(made, MSGPACK), MSGPACK, at_ns, at_ns)
         self.notes = (*self._missing(topics), *complaints.lines())
