@@ -199,11 +199,11 @@ def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> Gath
                     refused.setdefault(leg_id, []).append(sample)
                 else:
                     samples.setdefault(leg_id, []).append(sample)
-                    leg.take_sample(sample)
+                    leg.add_sample(sample)
             elif record.key.endswith("/truth"):
                 truth = decode(record.payload, ContactTruth, record.encoding)
                 if not isinstance(truth, Rejected):
-                    leg.take_truth(truth)
+                    leg.add_truth(truth)
         opt.print_damage(recording)
         for line in robots.trouble(None):
             print_note(f"{path}: {line}")
@@ -310,14 +310,14 @@ def check_conventions(
             said only.
     """
     from adaptive_contact.checks.leg_ids import judge_recorded_ids
-    from adaptive_contact.fit.recordings import judge_conventions
+    from adaptive_contact.fit.recordings import compare_conventions
 
     for leg, line in judge_recorded_ids(
         robot, {leg: one.last_run() for leg, one in gathered.items()}
     ).items():
         print_note(f"leg '{leg}': {line}")
     grave, found = [], set()
-    for finding in judge_conventions(robot, gathered, hangs=bridge).findings:
+    for finding in compare_conventions(robot, gathered, hangs=bridge).findings:
         advice = finding.servo_advice(robot.leg(finding.leg)) if bridge else finding.advice
         line = f"leg '{finding.leg}': {finding.message}: {advice}"
         print_note(line)

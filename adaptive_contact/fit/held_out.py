@@ -48,7 +48,7 @@ class Manner:
     def domain(self, factor: Factor) -> Domain:
         """Make the domain of a fit to some rows."""
         if self.strength is None:
-            return Domain.of(factor, factor.scale())
+            return Domain.from_factor(factor, factor.scale())
         prior = self._prior(factor, self.strength)
         return posterior_domain(factor, self.library, prior, self.inflation)
 

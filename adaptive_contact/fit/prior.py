@@ -59,7 +59,7 @@ def fit_prior(factor: Factor, library: Library, quantum_rad: float, strength: fl
         # Of a covariance SᵀS the precision is that of the rows S⁻ᵀ.
         rows[joint][:, mine] = firm[joint] * np.linalg.inv(spread[joint][:, mine]).T
     prior = Prior(known.model.coefficients, rows, used)
-    return prior if strength == 1.0 else _of_alike_joints(factor, library, prior)
+    return prior if strength == 1.0 else _pool_alike_joints(factor, library, prior)
 
 
 def posterior_domain(factor: Factor, library: Library, prior: Prior, inflation: float) -> Domain:
@@ -83,14 +83,14 @@ def posterior_domain(factor: Factor, library: Library, prior: Prior, inflation: 
         whole.add(rows, np.zeros((len(rows), outputs)))
     left_out = np.diag(scale / BEYOND_DEVIATIONS)[~prior.used.any(axis=1)]
     whole.add(left_out, np.zeros((len(left_out), outputs)))
-    plain = Domain.of(whole, scale)
+    plain = Domain.from_factor(whole, scale)
     if inflation == 1.0:
         return plain
     return dataclasses.replace(plain, inflation=np.where(library.moves, inflation, 1.0))
 
 
-def _of_alike_joints(factor: Factor, library: Library, prior: Prior) -> Prior:
-    """The prior without terms that have no bound, about what the joints have in common."""
+def _pool_alike_joints(factor: Factor, library: Library, prior: Prior) -> Prior:
+    """Return the prior of bounded terms, about what the joints have in common."""
     joints = factor.outputs
     used = prior.used.copy()
     for group in library.groups:

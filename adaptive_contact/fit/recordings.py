@@ -83,8 +83,8 @@ class LegGatherer:
         """Samples accepted."""
         return sum(len(rows) for run in self._runs for rows in run.stretches)
 
-    def take_sample(self, sample: ServoSample) -> None:
-        """Take in the next sample of the wire; a bad one is counted."""
+    def add_sample(self, sample: ServoSample) -> None:
+        """Add the next sample of the wire; a bad one is counted."""
         sample = self._frame.sample(sample)
         result = self._guard.admit(sample)
         if isinstance(result, Reject):
@@ -107,8 +107,8 @@ class LegGatherer:
             run.stretches.append([])
         run.stretches[-1].append(sample)
 
-    def take_truth(self, truth: ContactTruth) -> None:
-        """Take in a change of the true contact."""
+    def add_truth(self, truth: ContactTruth) -> None:
+        """Add a change of the true contact."""
         came = len(self._runs[-1].t_ns) if self._runs else 0
         self._changes.append(_Received(truth, len(self._runs) - 1, came))
 
@@ -289,7 +289,7 @@ class _Received(NamedTuple):
     came: int  # samples of that run by then
 
 
-def judge_conventions(
+def compare_conventions(
     robot: Robot, gathered: Mapping[str, LegGatherer], *, hangs: bool = False
 ) -> Verdict:
     """Compare the angles of what was gathered with the robot's description.

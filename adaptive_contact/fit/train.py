@@ -171,10 +171,10 @@ def learn(
         statistics.append(values)
     if short and not legs:
         worst = max(short, key=lambda error: error.needed / max(error.have, 1))
-        raise TooLittleDataError(_of_all(skipped), worst.have, worst.needed)
+        raise TooLittleDataError(_describe_skipped(skipped), worst.have, worst.needed)
     if not legs:
         raise IdentificationError(
-            _of_all(skipped)
+            _describe_skipped(skipped)
             or "no leg has two samples in a row; expected robot/leg/*/servo of "
             + ", ".join(robot.leg_ids)
         )
@@ -184,8 +184,8 @@ def learn(
     return Training(baseline, figures, skipped)
 
 
-def _of_all(skipped: Mapping[str, str]) -> str:
-    """Why no leg could be learned, in one line; legs of one reason together."""
+def _describe_skipped(skipped: Mapping[str, str]) -> str:
+    """Describe in one line why no leg could be learned; legs of one reason together."""
     legs_of: dict[str, list[str]] = {}
     for leg, why in skipped.items():
         legs_of.setdefault(why.replace(f"leg '{leg}': ", ""), []).append(leg)
@@ -286,7 +286,7 @@ def learn_leg(
     )
     scale = held.whole.scale()
     known = LegBaseline(model, noise, scale, len(swinging.target), manner.domain(held.whole))
-    peaks = Peaks.of(values, where // SPEEDS)
+    peaks = Peaks.from_values(values, where // SPEEDS)
     return dataclasses.replace(known, peaks=peaks), figures, values[~after]
 
 

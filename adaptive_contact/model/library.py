@@ -262,16 +262,16 @@ class Library:
         """
         first = {group.form: group.first for group in self.groups}
 
-        def of(form: str, lag: int = 0) -> Array:
+        def term_columns(form: str, lag: int = 0) -> Array:
             at = first[form + _at(-lag)]
             return theta[..., at : at + len(self.joints)]
 
-        rows = [of("θ_{}")]
+        rows = [term_columns("θ_{}")]
         for lag in range(self.window.past_measured):
-            rows.append(rows[-1] - of("v_{}", lag))
-        rows.append(rows[0] + self.slope_rad * of("e_{}/s"))
+            rows.append(rows[-1] - term_columns("v_{}", lag))
+        rows.append(rows[0] + self.slope_rad * term_columns("e_{}/s"))
         for lag in range(self.window.past_desired):
-            rows.append(rows[-1] - of("Δu_{}", lag))
+            rows.append(rows[-1] - term_columns("Δu_{}", lag))
         return np.concatenate(rows, axis=-1)
 
     @property

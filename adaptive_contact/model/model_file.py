@@ -80,7 +80,7 @@ class Baseline:
         Those of an older format are converted: what they exceed those of Gaussian residuals by is
         kept.  The file keeps its text, as saved states belong to that.
         """
-        return self if self.format == FORMAT else _of_one_direction(self)
+        return self if self.format == FORMAT else _convert_to_one_direction(self)
 
     def check_fits(self, robot: Robot) -> None:
         """Refuse a baseline of another robot.
@@ -356,7 +356,7 @@ def _baseline(file: _File) -> Baseline:
     return Baseline(file.robot, file.origin, file.quantum_rad, legs, tails, file.format)
 
 
-def _of_one_direction(baseline: Baseline) -> Baseline:
+def _convert_to_one_direction(baseline: Baseline) -> Baseline:
     """Convert statistics of noise in J directions to those of the one that counts now."""
     legs = {}
     for leg, known in baseline.legs.items():

@@ -48,8 +48,8 @@ class Peaks(NamedTuple):
     ticks: tuple[int, ...]  # (directions,) that they are of
 
     @classmethod
-    def of(cls, values: Array, directions: Ints) -> Peaks | None:
-        """Find them; None where there are too few ticks in every direction.
+    def from_values(cls, values: Array, directions: Ints) -> Peaks | None:
+        """Find the peaks of values; None where there are too few ticks in every direction.
 
         Args:
             values: (n, windows) of the statistic on free ticks; NaN where there is none.

@@ -73,7 +73,7 @@ class Domain:
         object.__setattr__(self, "_reach", reach / self.scale)
 
     @classmethod
-    def of(cls, factor: Factor, scale: Array) -> Domain:
+    def from_factor(cls, factor: Factor, scale: Array) -> Domain:
         """Make the domain of a fit.
 
         Args:

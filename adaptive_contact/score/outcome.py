@@ -32,7 +32,7 @@ class Events(NamedTuple):
     onset_ns: Ints  # the estimated first touch
 
     @classmethod
-    def of(cls, messages: Iterable[ContactEvent]) -> Events:
+    def from_messages(cls, messages: Iterable[ContactEvent]) -> Events:
         """Make events from messages, in their order."""
         rows = [(event.t_ns, event.contact, event.onset_ns) for event in messages]
         t_ns, contact, onset_ns = zip(*rows, strict=True) if rows else ((), (), ())

@@ -54,7 +54,7 @@ def score_messages(
     """
     gathered = Gatherer(robot)
     for message in messages:
-        gathered.take(message)
+        gathered.add_message(message)
     if not gathered.legs:
         usable = "usable " if gathered.rejects else ""
         raise RecordingError(

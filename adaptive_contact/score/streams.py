@@ -92,8 +92,8 @@ class Gatherer:
         self._truth: dict[str, list[ContactTruth]] = {}
         self._events: dict[str, list[ContactEvent]] = {}
 
-    def take(self, received: Received) -> None:
-        """Store one message; keys that do not matter for a score are skipped."""
+    def add_message(self, received: Received) -> None:
+        """Add one message; keys that do not matter for a score are skipped."""
         head, _, kind = received.key.rpartition("/")
         if kind not in ("servo", "truth", "contact") or not head.startswith("robot/leg/"):
             return
@@ -150,7 +150,7 @@ class Gatherer:
 
     def events(self, leg: str) -> Events:
         """Return the events received of a leg."""
-        return Events.of(sorted(self._events.get(leg, []), key=lambda event: event.t_ns))
+        return Events.from_messages(sorted(self._events.get(leg, []), key=lambda event: event.t_ns))
 
     def stream(self, leg: str) -> LegStream:
         """Return what is known of one of :attr:`legs`.
@@ -163,7 +163,7 @@ class Gatherer:
         t_ns = np.array(samples.t_ns, dtype=np.int64)
         desired = np.array(samples.desired, dtype=np.float64).reshape(-1, samples.joints)
         phase = np.array(samples.phase, dtype=np.int8)
-        keep = self._in_order(leg, t_ns, np.array(samples.run, dtype=np.int64))
+        keep = self._select_in_order(leg, t_ns, np.array(samples.run, dtype=np.int64))
         t_ns, desired, phase = t_ns[keep], desired[keep], phase[keep]
         described = self._described(leg)
         swing = phase == _SWING
@@ -182,10 +182,10 @@ class Gatherer:
         truth = truth_changes(self._truth.get(leg, []))
         return LegStream(leg=leg, t_ns=t_ns, swing=swing, truth=truth, lift=lift)
 
-    def _in_order(
+    def _select_in_order(
         self, leg: str, t_ns: NDArray[np.int64], run: NDArray[np.int64]
     ) -> NDArray[np.bool_]:
-        """Samples later than all before them; the others are counted, or are a second run."""
+        """Select samples later than all before; others are counted, or are a second run."""
         latest = np.concatenate(([-1], np.maximum.accumulate(t_ns)[:-1]))
         late = t_ns <= latest
         ends = np.concatenate(([-1], np.maximum.accumulate(run)[:-1]))

@@ -99,7 +99,7 @@ class AlarmFigures:
     interval: Interval  # its 95 % Poisson interval; the upper end is infinite without ticks
 
     @classmethod
-    def of(cls, alarms: int, ticks: int) -> AlarmFigures:
+    def from_counts(cls, alarms: int, ticks: int) -> AlarmFigures:
         """Compute the figures from the counts."""
         if not ticks:
             return cls(alarms, ticks, None, Interval(0.0, np.inf))
@@ -157,11 +157,11 @@ def summarise(outcomes: Sequence[LegOutcome]) -> Summary:
     counted, after_turn, late = (
         _column(touches, n).astype(bool) for n in ("counted", "after_turn", "late")
     )
-    alarms = AlarmFigures.of(
+    alarms = AlarmFigures.from_counts(
         sum(len(outcome.alarms_ns) for outcome in outcomes),
         sum(int(outcome.swings.judged.sum()) for outcome in outcomes),
     )
-    after = AlarmFigures.of(
+    after = AlarmFigures.from_counts(
         sum(int(outcome.alarm_after.sum()) for outcome in outcomes),
         sum(int(outcome.swings.judged_after.sum()) for outcome in outcomes),
     )

@@ -318,7 +318,7 @@ class TraceBank:
     def gather(self, records: Iterable[Record]) -> Iterator[Record]:
         """Pass records on, and keep of them what the score needs."""
         for record in records:
-            self._gathered.take(record)
+            self._gathered.add_message(record)
             yield record
 
     def traces(self) -> list[LegTrace]:

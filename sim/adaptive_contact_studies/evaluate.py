@@ -122,7 +122,9 @@ def leg_stream(run: Run, leg: str, robot: Robot) -> LegStream:
 
 def score_run(run: Run, robot: Robot, events: dict[str, list[ContactEvent]]) -> list[LegOutcome]:
     """Judge every leg's events against the run's truth."""
-    return [match(leg_stream(run, leg, robot), Events.of(e)) for leg, e in events.items()]
+    return [
+        match(leg_stream(run, leg, robot), Events.from_messages(e)) for leg, e in events.items()
+    ]
 
 
 def parts_of(run: Run, outcomes: Sequence[LegOutcome], count: int) -> list[Summary]:

@@ -269,7 +269,7 @@ def _hung(trial: Trial, found: Found | None) -> str:
     name = f"{trial.robot}, {trial.gait}"
     if found is None:
         return row(name, _start(trial), "no baseline could be fitted", "")
-    rate = AlarmFigures.of(found.hung_alarms, max(found.judged, 1)).per_hour
+    rate = AlarmFigures.from_counts(found.hung_alarms, max(found.judged, 1)).per_hour
     shown = f"{rate:.0f} ({found.hung_alarms})"
     return row(name, _start(trial), shown, str(found.valid_alarms))
 

@@ -144,7 +144,7 @@ def test_a_fit_to_the_first_run_alarms_after_no_turn_of_the_second() -> None:
         begin = runs.index(runs[-1])
         gatherer = LegGatherer(leg, robot.period_s)
         for sample in stream[:begin]:
-            gatherer.take_sample(sample)
+            gatherer.add_sample(sample)
         stretches[leg.id] = gatherer.stretches(free=True)
         second = stream[begin:] if leg.id == "fr" else second
     baseline = learn(robot, stretches, origin="the first run").baseline

@@ -175,7 +175,7 @@ def figures(results: Sequence[Tried]) -> dict[str, Any]:
     drawn = (rng.integers(0, len(counts), len(counts)) for _ in range(RESAMPLES))
     again = [errors_of(counts[of], squares[of]) for of in drawn]
     ratios = [e[0] / e[1] for e in again]
-    rate = AlarmFigures.of(sum(r.alarms for r in results), sum(r.ticks for r in results))
+    rate = AlarmFigures.from_counts(sum(r.alarms for r in results), sum(r.ticks for r in results))
     return {
         "fit_deg": fit, "ridge_deg": ridge, "naive_deg": naive,
         "of_ridge": [fit / ridge, *np.quantile(ratios, [0.025, 0.975]).tolist()],

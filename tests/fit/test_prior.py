@@ -196,7 +196,7 @@ def test_doubt_counts_what_a_term_adds_to_those_before_it(
         return np.einsum("ij,ji->i", asked, np.linalg.solve(information, asked.T))
 
     certain, whole = dense(~doubtful), dense(np.ones(terms, dtype=bool))
-    plain = Domain.of(factor_of(theta, np.zeros((rows, 1))), scale)
+    plain = Domain.from_factor(factor_of(theta, np.zeros((rows, 1))), scale)
     domain = Domain(plain.triangle, scale, inflation=np.where(doubtful, doubt, 1.0))
     np.testing.assert_allclose(plain.leverage(new), whole, rtol=1e-6)
     expected = certain + doubt * (whole - certain)

@@ -42,7 +42,7 @@ def gather(robot: Robot, *parts: Item | Iterable[Item]) -> LegGatherer:
     gatherer = LegGatherer(robot.leg("rf"), robot.period_s)
     for part in parts:
         for item in [part] if isinstance(part, Item) else part:
-            take = gatherer.take_sample if isinstance(item, ServoSample) else gatherer.take_truth
+            take = gatherer.add_sample if isinstance(item, ServoSample) else gatherer.add_truth
             take(item)
     return gatherer
 

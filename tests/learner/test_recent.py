@@ -73,7 +73,7 @@ def test_thresholds_of_own_peaks_follow_the_last_lifts(
 ) -> None:
     rng = np.random.default_rng(3)
     values = 0.5 * rng.chisquare(1, (4000, len(WINDOWS)))
-    peaks = Peaks.of(values, np.arange(len(values)) % DIRECTIONS)
+    peaks = Peaks.from_values(values, np.arange(len(values)) % DIRECTIONS)
 
     of = NoiseTracker(noise, prior_tails(), 1.0, peaks)
     first = of.thresholds

@@ -15,7 +15,7 @@ RATE = 200.0  # per hour: 200 / 540,000 / 3 of the ticks exceed it in each windo
 
 
 def of(values: NDArray[np.float64], direction: int = AFTER) -> Peaks | None:
-    return Peaks.of(values, np.full(len(values), direction))
+    return Peaks.from_values(values, np.full(len(values), direction))
 
 
 def free(rng: np.random.Generator, *shape: int) -> NDArray[np.float64]:

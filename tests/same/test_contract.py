@@ -119,7 +119,7 @@ class World:
                 known, new = self.banks
                 events += known.update(given)
                 events += new.update(given) if samples["rf"]["seq"] > NEW else []
-                self.gatherer.take_sample(given["rf"])
+                self.gatherer.add_sample(given["rf"])
             angles = np.array([samples["rf"]["measured"]])
             self.factor.add(angles, angles)
             if bad:

@@ -69,7 +69,7 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> tuple[dict[str, Any], lis
     gathered = Gatherer(robot)
     seq_of: dict[str, dict[int, int]] = {leg: {} for leg in robot.leg_ids}
     for record in read_recording(take.recording):
-        gathered.take(record)
+        gathered.add_message(record)
         if record.key.endswith("/servo"):
             leg = leg_of_key(record.key)
             sample = decode(record.payload, ServoSample, record.encoding)

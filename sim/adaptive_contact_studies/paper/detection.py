@@ -118,7 +118,7 @@ def _figures(name: str, touched: Sequence[Evaluated], quiet: Quiet) -> Tree:
 
 def rate_of(count: int, ticks: int) -> Tree:
     """Alarms per robot-hour; a count of -1 means a threshold too low to be counted."""
-    alarms = AlarmFigures.of(count, ticks) if count >= 0 and ticks else None
+    alarms = AlarmFigures.from_counts(count, ticks) if count >= 0 and ticks else None
     return {
         "count": count,
         "hours": ticks / ROBOT_HOUR_TICKS,

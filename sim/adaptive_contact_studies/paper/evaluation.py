@@ -157,7 +157,7 @@ def evaluate(work: Work, job: Job) -> list[Evaluated]:
             for s, known in zip(streams, baselines, strict=True)
         ]
         for of_stream, told in zip(played, feed(learners, samples), strict=True):
-            of_stream[name] = Events.of(told)
+            of_stream[name] = Events.from_messages(told)
     quiet = job.role != "touch"
     found = []
     for stream, events in zip(streams, played, strict=True):

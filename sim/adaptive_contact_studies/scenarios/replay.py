@@ -167,7 +167,9 @@ class _Watch:
         log = np.array(self._rows, dtype=np.int64).reshape(-1, len(SwingLog._fields)).T
         at = np.searchsorted(stream.t_ns, self._confirmed)
         touched = int(np.count_nonzero(touching(stream)[at]))
-        return LegReplay(Events.of(events), SwingLog(*log), len(self._confirmed), touched)
+        return LegReplay(
+            Events.from_messages(events), SwingLog(*log), len(self._confirmed), touched
+        )
 
 
 def touching(stream: LegStream) -> Mask:

@@ -79,7 +79,7 @@ def pooled(table: Mapping[str, Tree]) -> Tree:
     if not set(names) <= table.keys():
         return {}
     judged = [table[name]["variants"]["full"]["judged"] for name in names]
-    alarms = AlarmFigures.of(
+    alarms = AlarmFigures.from_counts(
         sum(one["false_alarms"] for one in judged), sum(one["judged_ticks"] for one in judged)
     )
     what = "false alarms per robot-hour, all that is steady"

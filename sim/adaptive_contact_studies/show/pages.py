@@ -49,7 +49,7 @@ def found_of(found: int, of: int) -> str:
 
 def per_hour(alarms: int, ticks: int) -> str:
     """False alarms per robot-hour with their interval, such as ``32 (20 to 47)``."""
-    rate = AlarmFigures.of(alarms, max(ticks, 1))
+    rate = AlarmFigures.from_counts(alarms, max(ticks, 1))
     return f"{rate.per_hour:.0f} ({rate.interval.low:.0f} to {rate.interval.high:.0f})"
 
 
