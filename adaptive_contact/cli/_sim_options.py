@@ -120,7 +120,7 @@ class RunOptions:
         mode: Literal["pose", "walk"] = "pose" if kind is PoseSettings else "walk"
         if self.scenario is None:
             known = next((name for name in GAITS if name == gait), None)
-            start = SimulationSettings.of(self.robot or "hexapod", mode, known)
+            start = SimulationSettings.from_robot(self.robot or "hexapod", mode, known)
             scenario = Scenario("default", "", None, start)
         else:
             scenario = load_scenario(self.scenario)

@@ -110,7 +110,7 @@ class Plant:
             self._robot, self._joints, bullet.VELOCITY_CONTROL, forces=[0.0] * self._n
         )
         self.drives = Drives(shape.servo, rest, rng, STEP_S, robot_seed)
-        self._take()
+        self._read_joints()
         half = [*_PLATE_M]
         box = engine.createCollisionShape(bullet.GEOM_BOX, halfExtents=half)
         self._plates = [engine.createMultiBody(0.0, box, basePosition=_PARKED) for _ in shape.legs]
@@ -169,7 +169,7 @@ class Plant:
                 body, -1, contactStiffness=ground.stiffness_n_m, contactDamping=damping
             )
 
-    def _take(self) -> None:
+    def _read_joints(self) -> None:
         states = self._engine.getJointStates(self._robot, self._joints)
         self.angles = np.array([state[0] for state in states])
         self.speeds = np.array([state[1] for state in states])
@@ -204,7 +204,7 @@ class Plant:
                 robot, self._joints, bullet.TORQUE_CONTROL, forces=torques.tolist()
             )
             engine.stepSimulation()
-            self._take()
+            self._read_joints()
             for touch in engine.getContactPoints(bodyA=robot):
                 if touch[2] != robot and touch[3] >= 0:
                     forces[step, touch[3] // shape.joints] += touch[9]
@@ -241,7 +241,7 @@ class Plant:
         for joint, angle, speed in zip(self._joints, state.angles, state.speeds, strict=True):
             self._engine.resetJointState(self._robot, joint, angle, speed)
         self.drives.resume(state.drives)
-        self._take()
+        self._read_joints()
 
     def keep(self) -> tuple[int, Any]:
         """Keep the present state whole, for :meth:`go_on`."""
@@ -252,7 +252,7 @@ class Plant:
         self._engine.restoreState(stateId=kept[0])
         self._engine.removeState(kept[0])
         self.drives.resume(kept[1])
-        self._take()
+        self._read_joints()
 
     def let_through(self, leg: int, *, through: bool) -> None:
         """Let a leg pass through the ground and its plate, or not any more."""

@@ -106,13 +106,13 @@ def run_live(
     learners = InProcess(sim) if link is None and _listens(sim) else None
     with contextlib.nullcontext() if link is None else contextlib.closing(_Wire(sim, link)) as wire:
         while sim.ticks < ticks and not stop.is_set():
-            for event in () if wire is None else wire.take():
+            for event in () if wire is None else wire.process_messages():
                 on_event(event)
             tick = sim.tick()
             if wire is not None:
                 wire.publish(tick)
             on_tick(tick)
-            for event in () if learners is None else learners.take(tick):
+            for event in () if learners is None else learners.process_tick(tick):
                 on_event(event)
             if not pace.wait(stop):
                 break
@@ -133,8 +133,8 @@ class InProcess:
         self._sim = sim
         self._bank = LearnerBank(robot, shipped_baseline(robot.name), mode=mode)
 
-    def take(self, tick: Tick) -> list[ContactEvent]:
-        """Take in a tick's samples, and pass the events on to the gait."""
+    def process_tick(self, tick: Tick) -> list[ContactEvent]:
+        """Process a tick's samples, and pass the events on to the gait."""
         events = self._bank.update(tick.samples)
         for event in events:
             self._sim.notify_contact(event.leg, event.contact)
@@ -158,7 +158,7 @@ class _Wire:
         if _listens(sim):
             self._declared.append(link.subscribe(ALL_CONTACT, self._events.append))
 
-    def take(self) -> list[ContactEvent]:
+    def process_messages(self) -> list[ContactEvent]:
         """Answer requests, and pass contact events on to the gait; return those."""
         taken: list[ContactEvent] = []
         while self._requests:

@@ -33,8 +33,8 @@ class Moment(NamedTuple):
     caption: tuple[str, ...]  # lines for the corner
 
     @classmethod
-    def of(cls, sim: Simulation) -> Moment:
-        """Keep the present."""
+    def from_simulation(cls, sim: Simulation) -> Moment:
+        """Keep the present state of a simulation."""
         data = sim.plant.data
         lines = [f"{sim.time_s:.1f} s"]
         for kind, legs in sim.drift.holds().items():
@@ -164,16 +164,16 @@ class Film:
         self._painter = Painter(sim, self._width, self._height)
         self._moments: list[Moment] = []
 
-    def look(self) -> None:
+    def capture(self) -> None:
         """Keep the present moment, if a frame is due."""
         if self._kind == ".png":
-            self._moments[:] = [Moment.of(self._sim)]
+            self._moments[:] = [Moment.from_simulation(self._sim)]
         elif self._sim.ticks % self._every == 0 and len(self._moments) < self._most:
-            self._moments.append(Moment.of(self._sim))
+            self._moments.append(Moment.from_simulation(self._sim))
 
     def close(self) -> None:
         """Paint what was kept, and write the file."""
-        moments = self._moments or [Moment.of(self._sim)]
+        moments = self._moments or [Moment.from_simulation(self._sim)]
         if self._kind == ".png":
             data = _encoded(self._paint(moments[-1]), "PNG")
         else:

@@ -168,7 +168,7 @@ class Plant:
             if on_step is not None:
                 on_step()
             if data.ncon != self._contacts:
-                self._note_contacts()
+                self._record_contacts()
 
     def foot_positions(self) -> Array:
         """(L, 3) m, the true feet in the world."""
@@ -212,8 +212,8 @@ class Plant:
         self.model.body_inertia[self.elements.payloads] = mass[:, None] * 0.0158**2
         mujoco.mj_setConst(self.model, self._scratch)
 
-    def _note_contacts(self) -> None:
-        """Remember which parts of which legs came into contact in the step just made."""
+    def _record_contacts(self) -> None:
+        """Record which parts of which legs came into contact in the step just made."""
         data, leg_of = self.data, self._geom_leg
         self._contacts = data.ncon
         now = [False] * self._legs

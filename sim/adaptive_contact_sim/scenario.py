@@ -218,7 +218,7 @@ def _scenario_of(table: Mapping[str, Any], name: str, source: str) -> Scenario:
     # A gait that is none is reported by what reads it.
     gait = next((known for known in GAITS if known == own.get("gait")), None)
     try:
-        base = SimulationSettings.of(file.robot, mode, gait)
+        base = SimulationSettings.from_robot(file.robot, mode, gait)
     except ConfigurationError as error:
         raise ConfigurationError(f"{source}: {error}") from error
     motion: MotionSettings = _settings(own, base.motion, f"{source}: [{mode}]")

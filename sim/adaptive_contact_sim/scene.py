@@ -92,7 +92,7 @@ def build(
             )
     spec.compiler.discardvisual = not looks
     model = spec.compile()
-    terrain.finish(model, f"{layout.legs[0]}_foot")
+    terrain.set_stiffness(model, f"{layout.legs[0]}_foot")
     return model
 
 

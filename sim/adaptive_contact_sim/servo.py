@@ -90,8 +90,8 @@ class ServoKind(NamedTuple):
     full_scale_steps: int  # largest value of the goal register
     nominal: ServoParameters  # servo constants, (1,) each
 
-    def of(self, servos: int) -> ServoParameters:
-        """So many of them, all alike."""
+    def make_parameters(self, servos: int) -> ServoParameters:
+        """Make the parameters of so many servos, all alike."""
         one = {f.name: getattr(self.nominal, f.name) for f in fields(ServoParameters)}
         return ServoParameters(**{name: np.repeat(value, servos) for name, value in one.items()})
 

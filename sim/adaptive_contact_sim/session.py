@@ -89,7 +89,7 @@ def run(
             from adaptive_contact_sim.picture import Film
 
             film = stack.enter_context(closing(Film(render, sim)))
-            looks.append(lambda _: film.look())
+            looks.append(lambda _: film.capture())
 
         def on_tick(tick: Tick) -> None:
             for change in tick.truth:

@@ -51,7 +51,7 @@ class SimulationSettings:
     epoch_ns: int = 0  # time stamp of tick 0
     run: int | None = None  # the `run` of the samples
     period_s: float = 0.02  # control tick
-    robot: str = "hexapod"  # which of `ROBOTS`; `of` has its defaults
+    robot: str = "hexapod"  # which of `ROBOTS`; `from_robot` has its defaults
 
     def __post_init__(self) -> None:
         robot = simulated_robot(self.robot)
@@ -70,10 +70,10 @@ class SimulationSettings:
                 )
 
     @classmethod
-    def of(
+    def from_robot(
         cls, robot: str, mode: Literal["walk", "pose"], gait: GaitName | None = None
     ) -> SimulationSettings:
-        """What a robot does where nothing else is asked for, in its usual gait or the one given.
+        """Return the settings of a robot by default, in its usual gait or the one given.
 
         Raises:
             ConfigurationError: there is no such robot, or it does not walk, or has no pose.
@@ -142,7 +142,9 @@ class Simulation:
                 name=settings.robot,
                 layout=self.layout,
             ),
-            manufactured(settings.robot_seed, self.robot.servo.of(self.layout.n_servos)),
+            manufactured(
+                settings.robot_seed, self.robot.servo.make_parameters(self.layout.n_servos)
+            ),
             period_s=settings.period_s,
             layout=self.layout,
             kind=self.robot.servo,

@@ -146,7 +146,7 @@ class Terrain:
                 name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[half, half, 0.1], **common
             )
 
-    def finish(self, model: mujoco.MjModel, foot: str = "lf_foot") -> None:
+    def set_stiffness(self, model: mujoco.MjModel, foot: str = "lf_foot") -> None:
         """Set what needs the compiled model: the stiffness of soft ground under such a foot."""
         if self.settings.kind == "soft":
             geom = model.geom("ground").id

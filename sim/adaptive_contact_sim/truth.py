@@ -120,10 +120,10 @@ class TruthTracker:
                     continue
             elif largest[leg] <= TOUCH_FORCE_N:
                 continue
-            changes.extend(self._judge(leg, window[:, leg], touches[leg]))
+            changes.extend(self._find_changes(leg, window[:, leg], touches[leg]))
         return changes
 
-    def _judge(self, leg: int, force: Array, touches: deque[Touch]) -> list[Change]:
+    def _find_changes(self, leg: int, force: Array, touches: deque[Touch]) -> list[Change]:
         """Go through one leg's tick that left the look-ahead, step by step."""
         total = np.concatenate([[0.0], np.cumsum(force)])
         mean = (total[self._mean_steps :] - total[: -self._mean_steps]) / self._mean_steps

@@ -101,7 +101,7 @@ def walked(_: Work, walk: Walk) -> Trace:
     for k in range(n):
         tick = sim.tick()
         if learners is not None:
-            learners.take(tick)
+            learners.process_tick(tick)
         position, rotation = plant.body_pose()
         tilt[k] = np.degrees(np.arccos(min(rotation[2, 2], 1.0)))
         place[k], force[k] = position[:2], plant.forces.max(axis=0)

@@ -114,7 +114,7 @@ def recorded(stage: Stage) -> tuple[Robot, Run]:
             name, GAITS[stage.gait], Ground("hard"), stage.seconds, stage.seed, _SEED, drifts=drifts
         )
         return SHAPES[name].description, record(plan).run
-    settings = SimulationSettings.of(name, "walk", stage.gait)  # type: ignore[arg-type]
+    settings = SimulationSettings.from_robot(name, "walk", stage.gait)  # type: ignore[arg-type]
     settings = dataclasses.replace(
         settings, seed=stage.seed, robot_seed=_SEED,
         terrain=dataclasses.replace(settings.terrain, kind="flat"),

@@ -226,7 +226,7 @@ def drawn_trials(count: int, seconds: float) -> list[Trial]:
     ]
 
 
-def _in_a_line(made: Sequence[tuple[Trial, Found | None]]) -> str:
+def _summarize_drawn(made: Sequence[tuple[Trial, Found | None]]) -> str:
     """Write of drawn robots, in a line, how many walk and how much of theirs is found."""
     walked = [found for trial, found in made if is_drawn(trial.robot) and found is not None]
     seen, hits = sum(f.seen for f in walked), sum(f.seen_found for f in walked)
@@ -292,7 +292,7 @@ def main(
     made = list(zip(wanted, done, strict=True))
     print(table(made))
     if count:
-        print(f"\n{_in_a_line(made)}")
+        print(f"\n{_summarize_drawn(made)}")
 
 
 if __name__ == "__main__":

@@ -91,7 +91,7 @@ def recorded(walk: str, seconds: float, seed: int) -> tuple[Run, ContactLearner]
         description, run = made.shape.description, made.run
         return run, ContactLearner(description, description.leg_ids[0])
     mode = "pose" if gait == "pose" else "walk"
-    settings = SimulationSettings.of(robot, mode, None if mode == "pose" else gait)  # type: ignore[arg-type]
+    settings = SimulationSettings.from_robot(robot, mode, None if mode == "pose" else gait)  # type: ignore[arg-type]
     motion = settings.motion
     if isinstance(motion, PoseSettings):
         share = 0.6 if ground == "obstacles" else 0.0

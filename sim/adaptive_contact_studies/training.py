@@ -43,7 +43,7 @@ def planned_run(
 ) -> PlannedRun:
     """Plan a run: a robot's own settings, some of its motion's changed; without ground a pose."""
     mode: Literal["pose", "walk"] = "pose" if terrain is None else "walk"
-    settings = SimulationSettings.of(robot, mode, changes.get("gait"))
+    settings = SimulationSettings.from_robot(robot, mode, changes.get("gait"))
     motion = replace(settings.motion, **changes)
     ground = settings.terrain if terrain is None else replace(settings.terrain, kind=terrain)
     return PlannedRun(name, replace(settings, motion=motion, terrain=ground, seed=seed), seconds)

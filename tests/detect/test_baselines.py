@@ -80,7 +80,9 @@ def test_rules_tick_by_tick() -> None:
 
 def test_thresholds_hold_the_rate_they_aim_at() -> None:
     rng = np.random.default_rng(4)
-    calibration = Calibration.of([rng.exponential(size=(100_000, 2)) for _ in range(3)])
+    calibration = Calibration.from_statistics(
+        [rng.exponential(size=(100_000, 2)) for _ in range(3)]
+    )
     rate = 1e-4
     score = calibration.score(rng.exponential(size=(400_000, 2)), rate)
     assert np.mean(score > 1.0) == pytest.approx(rate, rel=0.35)

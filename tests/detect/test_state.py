@@ -49,7 +49,7 @@ def played(
 @pytest.fixture(scope="module")
 def walk() -> Walked:
     """A walk whose commands know nothing of the ground."""
-    settings = SimulationSettings.of("hexapod", "walk")
+    settings = SimulationSettings.from_robot("hexapod", "walk")
     motion = WalkSettings(stop_on="never", phase="planned")
     run = record_arrays(dataclasses.replace(settings, motion=motion, seed=77), 25.0)
     return (run, *played(HEXAPOD, run, ["lf", "rm"]))
@@ -129,7 +129,7 @@ def test_a_push_is_along_the_way_that_the_foot_was_moved() -> None:
 
 def test_a_leg_that_hangs_has_no_state() -> None:
     robot = simulated_robot("leg5").description
-    settings = SimulationSettings.of("leg5", "pose")
+    settings = SimulationSettings.from_robot("leg5", "pose")
     assert isinstance(settings.motion, PoseSettings)
     run = record_arrays(dataclasses.replace(settings, seed=3), 30.0)
     states, _ = played(robot, run, ["leg"])

@@ -101,7 +101,7 @@ def simulated(seconds: float, seed: int, robots: Sequence[str] = ROBOTS) -> Iter
 
     for kind in robots:
         robot = simulated_robot(kind).description
-        settings = SimulationSettings.of(kind, "pose" if kind == "leg5" else "walk")
+        settings = SimulationSettings.from_robot(kind, "pose" if kind == "leg5" else "walk")
         run = record_arrays(dataclasses.replace(settings, seed=seed), seconds)
         baseline = shipped_baseline(robot.name)
         for leg, of in run.legs.items():

@@ -103,7 +103,7 @@ NAME, LEG = "quadruped12", "fr"
 def run() -> Run:
     """A walk in which joints begin to rub: there is much to be labelled."""
     layout = simulated_robot(NAME).layout
-    settings = SimulationSettings.of(NAME, "walk", "walk")
+    settings = SimulationSettings.from_robot(NAME, "walk", "walk")
     drift = (parse_drift("friction:value=4@6s", layout),)
     return record_arrays(dataclasses.replace(settings, drift=drift, seed=21), 22.0)
 

@@ -272,7 +272,7 @@ def test_a_quadruped_is_told_when_it_is_flipped_and_never_accused_else(name: str
 @functools.cache
 def hanging_walk(gait: str) -> dict[str, LegMotion]:
     """A quadruped whose hips roll: two feet stand in a trot, three in a walk."""
-    settings = SimulationSettings.of("quadruped12", "walk", gait)
+    settings = SimulationSettings.from_robot("quadruped12", "walk", gait)
     return motions_of(record_arrays(settings, SECONDS / 2), counted=True)
 
 

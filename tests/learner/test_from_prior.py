@@ -55,7 +55,7 @@ def test_what_is_learned_ends_well_before_a_touch(
 
 @pytest.mark.slow
 def test_joints_that_stick_at_the_top_of_a_swing_are_learned() -> None:
-    settings = SimulationSettings.of("hexapod", "walk")
+    settings = SimulationSettings.from_robot("hexapod", "walk")
     rough = dataclasses.replace(settings.terrain, kind="rough")
     drift = (parse_drift("friction:value=4,at_s=20"),)
     run = record_arrays(dataclasses.replace(settings, terrain=rough, drift=drift, seed=16), 60.0)

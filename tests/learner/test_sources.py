@@ -209,7 +209,7 @@ def known(request: pytest.FixtureRequest) -> Known:
         baseline = trained(robot, FakeLeg(seed=1).run(320))
         return Known(robot, "rf", baseline, FakeLeg(seed=2).stream(6))
     robot = simulated_robot(kind).description
-    settings = SimulationSettings.of(kind, "pose" if kind == "leg5" else "walk")
+    settings = SimulationSettings.from_robot(kind, "pose" if kind == "leg5" else "walk")
     leg, period_ns = robot.leg_ids[0], round(robot.period_s * 1e9)
     arrays = record_arrays(settings, 4.0).legs[leg]
     stream = samples(arrays.measured, arrays.desired, arrays.swing)

@@ -71,7 +71,7 @@ def walk(settings: SimulationSettings, seconds: float) -> Walked:
     desired, measured, height, raises = [], [], [], []
     for tick in sim.run(seconds):
         if learners is not None:
-            learners.take(tick)
+            learners.process_tick(tick)
         feet = [(s.desired, s.measured) for s in tick.samples.values()]
         desired.append(sim.geometry.feet(np.array([goal for goal, _ in feet])))
         measured.append(sim.geometry.feet(np.array([read for _, read in feet])))

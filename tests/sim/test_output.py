@@ -90,7 +90,7 @@ def test_pictures_show_which_feet_touch() -> None:
     for _ in range(63):  # rf is in the air, high up
         sim.advance()
     painter = engine_or_skip(sim)
-    image = painter.paint(Moment.of(sim))
+    image = painter.paint(Moment.from_simulation(sim))
     painter.close()
     assert image.shape == (240, 320, 3)
     assert image.dtype == np.uint8

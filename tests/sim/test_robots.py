@@ -31,7 +31,7 @@ from tests.sim.touches import recorded
 
 @pytest.mark.parametrize(("share", "least", "most"), [(0.0, 0, 0), (0.6, 8, 20)])
 def test_the_leg_on_a_stand_meets_plates_only(share: float, least: int, most: int) -> None:
-    base = SimulationSettings.of("leg5", "pose")
+    base = SimulationSettings.from_robot("leg5", "pose")
     obstacles = dataclasses.replace(base.motion.obstacles, probability=share)
     motion = dataclasses.replace(base.motion, obstacles=obstacles)
     run = record_arrays(dataclasses.replace(base, motion=motion, seed=3), 20.0)
@@ -46,7 +46,7 @@ def test_foot_and_model_agree(name: str) -> None:
     """The chain of ``robot.toml`` against the engine's own kinematics."""
     robot = simulated_robot(name)
     mode = "walk" if robot.walk is not None else "pose"
-    sim = Simulation(SimulationSettings.of(name, mode))  # type: ignore[arg-type]
+    sim = Simulation(SimulationSettings.from_robot(name, mode))  # type: ignore[arg-type]
     rng = np.random.default_rng(4)
     geometry = robot.geometry()
     near = 1e-9 if isinstance(geometry, ChainLegs) else 1e-5
@@ -78,7 +78,7 @@ LEG5 = simulated_robot("leg5").layout
     [
         (lambda: simulated_robot("quadruped1"), "did you mean 'quadruped12'"),
         (
-            lambda: SimulationSettings.of("quadruped12", "pose"),
+            lambda: SimulationSettings.from_robot("quadruped12", "pose"),
             "has no pose; expected `sim walk`",
         ),
         (
@@ -128,7 +128,7 @@ def test_a_scenario_names_its_robot() -> None:
 
 def test_a_recording_names_its_robot(ours: Any, tmp_path: Path) -> None:
     """Without --config, and with the baseline that ships."""
-    base = SimulationSettings.of("leg5", "pose")
+    base = SimulationSettings.from_robot("leg5", "pose")
     plates = dataclasses.replace(base.motion.obstacles, probability=0.6)
     motion = dataclasses.replace(base.motion, obstacles=plates)
     path, events = tmp_path / "leg.mcap", tmp_path / "leg.jsonl"
@@ -155,7 +155,7 @@ def test_a_recording_names_its_robot(ours: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("gait", "seconds"), [("trot", 12.0), ("walk", 20.0)])
 def test_the_quadrupeds_baseline_finds_its_touches(gait: str, seconds: float) -> None:
-    base = SimulationSettings.of("quadruped12", "walk", gait)  # type: ignore[arg-type]
+    base = SimulationSettings.from_robot("quadruped12", "walk", gait)  # type: ignore[arg-type]
     rough = dataclasses.replace(base.terrain, kind="rough")
     run = record_arrays(dataclasses.replace(base, terrain=rough, seed=11), seconds)
     robot = shipped_robot("quadruped12")

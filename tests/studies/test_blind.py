@@ -24,7 +24,7 @@ from adaptive_contact_studies.work import Work
 DRIFT_S: Final = 16.0
 SECONDS: Final = 48.0
 SETTINGS: Final = replace(
-    SimulationSettings.of("hexapod", "walk"),
+    SimulationSettings.from_robot("hexapod", "walk"),
     drift=(parse_drift(f"friction:value=4@{DRIFT_S:g}s"),),
     seed=21,
 )

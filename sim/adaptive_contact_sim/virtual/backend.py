@@ -239,11 +239,11 @@ class ProcessSource:
 
     def begin(self, epoch_ns: int) -> None:
         """Ask for the next tick."""
-        with contextlib.suppress(BrokenPipeError):  # `take` reports what has become of it
+        with contextlib.suppress(BrokenPipeError):  # `receive_tick` reports what has become of it
             self._pipe.send(epoch_ns)
 
-    def take(self) -> MadeTick:
-        """The tick that was asked for."""
+    def receive_tick(self) -> MadeTick:
+        """Receive the tick that was asked for."""
         made = self._receive()
         assert isinstance(made, MadeTick)
         return made
@@ -329,14 +329,14 @@ class GaitedBackend(_OnHorns):
         if self._made is None:
             self._let_begin(now_s)
             self._source.begin(self._epoch_ns)
-            self._made = self._source.take()
+            self._made = self._source.receive_tick()
             self._source.begin(self._epoch_ns)
         start = self._start_s + self._tick * self._period_s
         if now_s - start > LET_GO_S:
             self._let_begin(now_s)
             start = now_s
         while now_s >= start + self._period_s:
-            self._made = self._source.take()
+            self._made = self._source.receive_tick()
             self._tick += 1
             start += self._period_s
             self._source.begin(self._epoch_ns)

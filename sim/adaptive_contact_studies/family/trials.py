@@ -141,7 +141,7 @@ def _recorded(kind: str, seed: int) -> tuple[Run, Robot, Baseline | None]:
         return run, leg.robot, _own_baseline(leg, motion, seed + 50_000)
     name, how = kind.split()[:2]
     walks = how in ("walking", "trotting")
-    settings = SimulationSettings.of(name, "walk" if walks else "pose")
+    settings = SimulationSettings.from_robot(name, "walk" if walks else "pose")
     seconds = {"hexapod": 290.0, "quadruped12": 140.0}[name] if walks else 200.0
     if kind == "hexapod in pose, obstacles":
         obstacles = ObstacleSettings(probability=0.5)

@@ -68,8 +68,8 @@ class Evidence:
     swing_of_tick: Ints  # (n,) number of the swing, -1 in stance
 
     @classmethod
-    def of(cls, robot: Robot, stream: Stream, models: Mapping[str, LegModel]) -> Self:
-        """Of a stream and the models of its leg-run."""
+    def from_stream(cls, robot: Robot, stream: Stream, models: Mapping[str, LegModel]) -> Self:
+        """Make the evidence of a stream, with the models of its leg-run."""
         measured, desired = stream.arrays.measured, stream.arrays.desired
         judged = swing_ticks(stream.arrays.swing) > JUDGED_AFTER_TICKS
         falling = np.roll(directions(desired, robot.leg(stream.leg)), 1) == 1
@@ -175,7 +175,7 @@ class Calibration:
     channels: tuple[int, ...]  # those that are used
 
     @classmethod
-    def of(cls, statistics: Sequence[Array]) -> Self:
+    def from_statistics(cls, statistics: Sequence[Array]) -> Self:
         """Fit every channel's tail on free judged ticks, (n, channels) of each stream.
 
         Raises:
@@ -266,7 +266,7 @@ def tune_bench(robot: Robot, free: Sequence[Evidence], touch: Sequence[Evidence]
 
     subsets = [c for n in range(1, JOINTS + 1) for c in combinations(range(JOINTS), n)]
     for name, detector in DETECTORS.items():
-        whole = Calibration.of([detector.statistic(bench, e)[e.free] for e in free])
+        whole = Calibration.from_statistics([detector.statistic(bench, e)[e.free] for e in free])
         choices = [replace(whole, channels=channels) for channels in subsets]
         recalls = [recall(name, choice) for choice in choices]
         bench.calibrations[name] = choices[int(np.argmax(recalls))]

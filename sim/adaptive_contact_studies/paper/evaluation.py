@@ -187,7 +187,7 @@ def _learned_of(work: Work, plan: Plan, stream: Stream) -> Learned:
 
 
 def _evidence(work: Work, plan: Plan, robot: Robot, stream: Stream) -> Evidence:
-    return Evidence.of(robot, stream, _learned_of(work, plan, stream).models[stream.leg])
+    return Evidence.from_stream(robot, stream, _learned_of(work, plan, stream).models[stream.leg])
 
 
 def _sweep(own: Evidence, score: Array) -> Ints:

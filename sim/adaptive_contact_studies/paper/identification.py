@@ -100,7 +100,7 @@ def swept(work: Work, sweep: Sweep) -> dict[str, Any]:
     library = leg_library(robot, robot.leg(PAPER_LEG), "paper", sweep.window)
     rows, held = free_rows(train, library), free_rows(test, library)
     scale = 180.0 / np.pi if sweep.unit == "deg" else 1.0
-    fitted = _in_unit(rows, scale)
+    fitted = _scale_angles(rows, scale)
     whole = factor_of(library, fitted, _next_state(fitted))
     points: list[dict[str, Any]] = []
     for threshold in (0.0, *LAMBDAS):
@@ -111,7 +111,9 @@ def swept(work: Work, sweep: Sweep) -> dict[str, Any]:
             "terms": [int(n) for n in np.count_nonzero(fit.coefficients, axis=0)],
         }
         for name, windows in (("train", rows), ("test", held)):
-            predicted = library.evaluate(*_in_unit(windows, scale)[:3]) @ fit.coefficients / scale
+            predicted = (
+                library.evaluate(*_scale_angles(windows, scale)[:3]) @ fit.coefficients / scale
+            )
             position = predicted[:, : len(library.joints)]
             point[name] = _scores(windows, position, states=predicted)
         points.append(point)
@@ -179,7 +181,7 @@ def paper_streams(work: Work, plan: Plan) -> tuple[list[Stream], list[Stream]]:
     return streams_of(work, plan.paper_runs("train")), streams_of(work, plan.paper_runs("tune"))
 
 
-def _in_unit(windows: Rows, factor: float) -> Rows:
+def _scale_angles(windows: Rows, factor: float) -> Rows:
     angles = {name: factor * getattr(windows, name) for name in Rows._fields if name != "tick"}
     return windows._replace(**angles)
 

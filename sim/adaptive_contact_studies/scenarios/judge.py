@@ -72,10 +72,10 @@ class Judgement:
     variants: dict[Variant, list[Judged]] = field(default_factory=dict)  # leg-run by leg-run
 
 
-def judge_scenario(
+def score_scenario(
     scenario: Scenario, runs: Iterable[Replayed], references: Iterable[Replayed]
 ) -> Judgement:
-    """Judge all leg-runs of a scenario.
+    """Score all leg-runs of a scenario.
 
     Args:
         scenario: which.
@@ -91,12 +91,12 @@ def judge_scenario(
             found.reference.append(match(stream_of_twin, learners["frozen"].events))
             found.full_reference.append(match(stream_of_twin, learners["full"].events))
             for variant, replayed in run.learners[leg].items():
-                found.variants[variant].append(judge(scenario, stream, replayed))
+                found.variants[variant].append(score_leg_run(scenario, stream, replayed))
     return found
 
 
-def judge(scenario: Scenario, stream: LegStream, replayed: LegReplay) -> Judged:
-    """Judge what a learner made of a leg-run."""
+def score_leg_run(scenario: Scenario, stream: LegStream, replayed: LegReplay) -> Judged:
+    """Score what a learner made of a leg-run."""
     outcome = match(stream, replayed.events)
     marks = scenario.marks
     # Each mark's time ends with the next one; there may be none.

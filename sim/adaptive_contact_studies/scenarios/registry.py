@@ -395,7 +395,7 @@ def _runs(
 ) -> tuple[tuple[RecordingSpec, ...], float]:
     """As many runs as give the leg-runs, and how long a swing's cycle takes, s."""
     name = LEG if gait is None else QUADRUPED
-    settings = SimulationSettings.of(name, "pose" if gait is None else "walk", gait)
+    settings = SimulationSettings.from_robot(name, "pose" if gait is None else "walk", gait)
     motion = settings.motion
     if isinstance(motion, WalkSettings):
         cycle_s = motion.swing_s / GAITS[motion.gait].share

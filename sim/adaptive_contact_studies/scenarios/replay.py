@@ -95,14 +95,16 @@ def replay(
     samples = {leg: samples_of(run, leg) for leg in streams}
     watches = [_Watch(spec, leg, variant) for leg in streams for variant in spec.variants]
 
-    def look(k: int) -> None:
+    def notify_swing_ends(k: int) -> None:
         for watch in watches:
             swing = streams[watch.leg].swing
             if k and swing[k - 1] and not swing[k]:
                 watch.swing_over()
 
     told = feed(
-        [watch.learner for watch in watches], [samples[watch.leg] for watch in watches], look
+        [watch.learner for watch in watches],
+        [samples[watch.leg] for watch in watches],
+        notify_swing_ends,
     )
     found: dict[str, dict[Variant, LegReplay]] = {leg: {} for leg in streams}
     for watch, events in zip(watches, told, strict=True):

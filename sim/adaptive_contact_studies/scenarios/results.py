@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import ROBOT_HOUR_TICKS
 from adaptive_contact.score.summary import AlarmFigures
-from adaptive_contact_studies.scenarios.judge import figures, judge_scenario
+from adaptive_contact_studies.scenarios.judge import figures, score_scenario
 from adaptive_contact_studies.scenarios.registry import scenarios
 from adaptive_contact_studies.scenarios.replay import HEXAPOD, replayed
 from adaptive_contact_studies.scenarios.runs import Sizes
@@ -139,7 +139,7 @@ def measure(work: Work, chosen: Iterable[Scenario], sizes: Sizes) -> Tree:
             [made[repr(spec)] for spec in specs]
             for specs in (scenario.replays, scenario.references)
         )
-        tree = figures(judge_scenario(scenario, runs, twins))
+        tree = figures(score_scenario(scenario, runs, twins))
         table[scenario.name] = tree | {"goals": [goal.tree for goal in goals(scenario, tree)]}
     return {
         "sizes": asdict(sizes),

@@ -16,8 +16,8 @@ from adaptive_contact_studies.scenarios.judge import (
     NOTHING,
     Judgement,
     Recovery,
-    judge_scenario,
     quantile,
+    score_scenario,
     within,
 )
 from adaptive_contact_studies.scenarios.registry import scenarios
@@ -41,7 +41,7 @@ def judged(name: str, folder: Path, sizes: Sizes = SIZES) -> Judgement:
         [work.one(replayed, spec) for spec in specs]
         for specs in (scenario.replays, scenario.references)
     )
-    return judge_scenario(scenario, runs, twins)
+    return score_scenario(scenario, runs, twins)
 
 
 def recoveries_of(judgement: Judgement) -> list[Recovery]:
