@@ -269,7 +269,7 @@ class Bus:
         return None
 
     def write_register(self, servo: int, register: Register, value: int) -> bool:
-        """Write one register; True when the servo holds the value after.
+        """Write one register; True if the servo holds the value afterwards.
 
         A confirmation says little: a locked EEPROM may have one, an alarm sets its error bits.
         """

@@ -350,7 +350,7 @@ class Cycle:
             self.bus.sync_write(register, some)
 
     def _find_start(self, servo: _Servo) -> Place | None:
-        """Return from where a servo can be moved in this tick."""
+        """Find the place from which a servo can be moved in this tick; None without one."""
         if not servo.fresh or servo.steps is None or servo.goal is None:
             return None
         return servo.waker.find_start(servo.stands, servo.steps, servo.goal)

@@ -268,7 +268,7 @@ class Waker:
         return lower, min(self._joint.upper_rad, max(one, other))
 
     def find_start(self, stands: Standing | None, steps: int, goal: int) -> Place | None:
-        """Return from where it can be moved, by one tick's readings; else None and ``trouble``.
+        """Find the place it can be moved from, by one tick's readings; else None and ``trouble``.
 
         Args:
             stands: how it stands; None where that was not read.

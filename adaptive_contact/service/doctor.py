@@ -87,7 +87,7 @@ class Examination:
     uncounted_keys: int = 0
 
     def process_message(self, received: Received) -> None:
-        """Process one message."""
+        """Process one message: count it, keep the newest status."""
         meter = self.meters.get(received.key)
         if meter is None:
             if len(self.meters) >= _KEYS_KEPT:

@@ -219,7 +219,7 @@ class Service:
                 self._keeper.close()
 
     def process_batch(self, batch: Batch[Request], now_ns: int) -> None:
-        """Process one round of messages, up to its events."""
+        """Process one batch of messages, up to its events."""
         for leg, dropped in batch.overflow.items():
             flooded = self._endpoints.get(leg)
             if flooded is None:
@@ -249,7 +249,7 @@ class Service:
         self._asked += batch.requests
 
     def complete_batch(self) -> None:
-        """Publish states, learn from the round once its events are on their way, answer queries."""
+        """Publish states, learn from the batch once its events are on their way, answer queries."""
         for publisher, state in self._states:
             publisher.put(state)
         self._states.clear()

@@ -96,7 +96,7 @@ class Watchdog:
                 thread.join(2 * LOOK_S)
 
     def check(self, now_ns: int) -> None:
-        """Check the worker once; ``now_ns`` is monotonic."""
+        """Check process, worker and event publisher once; ``now_ns`` is monotonic."""
         before_s, self._looked_s = self._looked_s, self._clock_s()
         stopped_s = self._looked_s - before_s - LOOK_S
         if stopped_s >= STALL_S:

@@ -147,7 +147,7 @@ class Terrain:
             )
 
     def set_stiffness(self, model: mujoco.MjModel, foot: str = "lf_foot") -> None:
-        """Set what needs the compiled model: the stiffness of soft ground under such a foot."""
+        """Set the stiffness of soft ground under such a foot; it needs the compiled model."""
         if self.settings.kind == "soft":
             geom = model.geom("ground").id
             foot_body = int(model.geom_bodyid[model.geom(foot).id])

@@ -124,7 +124,7 @@ class TruthTracker:
         return changes
 
     def _find_changes(self, leg: int, force: Array, touches: deque[Touch]) -> list[Change]:
-        """Go through one leg's tick that left the look-ahead, step by step."""
+        """Find the changes of one leg's tick that left the look-ahead, step by step."""
         total = np.concatenate([[0.0], np.cumsum(force)])
         mean = (total[self._mean_steps :] - total[: -self._mean_steps]) / self._mean_steps
         changes: list[Change] = []

@@ -227,7 +227,7 @@ def drawn_trials(count: int, seconds: float) -> list[Trial]:
 
 
 def _summarize_drawn(made: Sequence[tuple[Trial, Found | None]]) -> str:
-    """Write of drawn robots, in a line, how many walk and how much of theirs is found."""
+    """Summarize drawn robots in a line: how many walk, how much of theirs is found."""
     walked = [found for trial, found in made if is_drawn(trial.robot) and found is not None]
     seen, hits = sum(f.seen for f in walked), sum(f.seen_found for f in walked)
     shares = np.array([f.seen_found / f.seen for f in walked if f.seen])
