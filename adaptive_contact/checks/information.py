@@ -32,6 +32,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
 from adaptive_contact.arrays import Array, Ints, Mask, scipy
+from adaptive_contact.checks.motion import LegMotion
 
 # Ticks from a command to its copy, and low-passes by the share of their past that they keep.
 LAGS: Final = 13
@@ -107,21 +108,6 @@ EQUAL_STAYS: Final = 5
 Kind = Literal["copy", "held", "old", "twin"]
 
 
-class Samples(NamedTuple):
-    """Holds n samples in a row, the newest last."""
-
-    seq: Ints  # (n,)
-    measured: Array  # (n, J) rad
-    desired: Array  # (n, J) rad
-    swings: Mask | None = None  # (n,) whether the leg is in a swing; None where that is not known
-
-    def part(self, first: int, last: int | None = None) -> Samples:
-        """Return some of them."""
-        at = slice(first, last)
-        swings = None if self.swings is None else self.swings[at]
-        return Samples(self.seq[at], self.measured[at], self.desired[at], swings)
-
-
 class Finding(NamedTuple):
     """Holds what is wrong with a leg's readings."""
 
@@ -171,11 +157,11 @@ class InformationCheck:
     def look(
         self,
         count: int,
-        samples: Samples,
+        samples: LegMotion,
         *,
         begins: bool,
         predicted: bool | None = None,
-        twin: Samples | None = None,
+        twin: LegMotion | None = None,
     ) -> bool:
         """Judge the last two strides.
 
@@ -197,15 +183,15 @@ class InformationCheck:
             return False
         self.suspected, self.suspicion = False, None
         finding, decided = self._judge(samples, ticks, predicted=predicted, twin=twin)
-        if decided:
-            unclear = self.suspected and finding is None and self.found is None
-            self._unclear = min(self._unclear + 1, UNCLEAR_LOOKS) if unclear else self._unclear - 1
-            self._unclear = max(self._unclear, 0)
-            # One less where the leg has never shown itself.
-            most = UNCLEAR_LOOKS - (self._shown < SHOWN_LOOKS)
-            self.unproved = self._unclear >= (1 if self.unproved else most)
-        if not decided or (finding is None) == (self.found is None):
-            self._agreed = 0 if decided and not unclear else self._agreed
+        if not decided:
+            return False
+        unclear = self.suspected and finding is None and self.found is None
+        self._unclear = min(max(self._unclear + (1 if unclear else -1), 0), UNCLEAR_LOOKS)
+        # One less where the leg has never shown itself.
+        most = UNCLEAR_LOOKS - (self._shown < SHOWN_LOOKS)
+        self.unproved = self._unclear >= (1 if self.unproved else most)
+        if (finding is None) == (self.found is None):
+            self._agreed = self._agreed if unclear else 0
             return False
         self._agreed += 1
         # Looks in a row, two a stride, that find a fault, or none, before it counts.
@@ -224,11 +210,11 @@ class InformationCheck:
         return min(two, max(ENOUGH_TICKS, one), MOST_TICKS)
 
     def _judge(
-        self, samples: Samples, ticks: int, *, predicted: bool | None, twin: Samples | None
+        self, samples: LegMotion, ticks: int, *, predicted: bool | None, twin: LegMotion | None
     ) -> tuple[Finding | None, bool]:
         """Judge so many ticks: what is wrong, and whether they show anything."""
         steps = steps_of(samples.measured[-MOST_TICKS:], self._step_rad)
-        newest = samples.part(-ticks)
+        newest = samples.part(np.s_[-ticks:])
         held = np.flatnonzero(held_shares(newest, steps) > HELD_SHARE)
         if len(held):
             return Finding("held", tuple(held.tolist()), 2 * ticks), True
@@ -245,7 +231,7 @@ class InformationCheck:
         enough = max(ticks, ENOUGH_TICKS)
         light = open_ = False
         if self.found is None:
-            light = predicted is not False and not carries(samples.part(-enough), steps)
+            light = predicted is not False and not carries(samples.part(np.s_[-enough:]), steps)
             open_ = light or bool(predicted)
         if len(copies) and not open_:
             return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
@@ -286,17 +272,17 @@ class InformationCheck:
         return bool(white)
 
 
-def carries(samples: Samples, steps: Array) -> bool:
+def carries(samples: LegMotion, steps: Array) -> bool:
     """Whether a leg that walks had to carry: a quarter and more of its stance moved."""
-    if samples.swings is None:
+    if samples.swing is None:
         return True
     moves = (np.abs(np.diff(samples.desired, axis=0)) > MOVING * steps).any(axis=1)
-    stance = ~samples.swings[1:]
+    stance = ~samples.swing[1:]
     return bool(4 * (moves & stance).sum() >= max(stance.sum(), 1))
 
 
 def equal_to_commands(
-    samples: Samples, ticks: int, step_rad: float, run: int = EQUAL_RUN
+    samples: LegMotion, ticks: int, step_rad: float, run: int = EQUAL_RUN
 ) -> tuple[tuple[int, ...], int]:
     """Find joints whose newest readings are commands that their encoder could not have read.
 
@@ -373,7 +359,7 @@ class Departure(NamedTuple):
     constants: Array  # (J,) rad
     steps: Array  # (J,) rad
 
-    def since(self, samples: Samples, joints: Ints) -> int:
+    def since(self, samples: LegMotion, joints: Ints) -> int:
         """Count the samples up to the newest of which the same function holds for joints."""
         off = samples.measured - self.constants
         off -= np.einsum("jtp,jp->tj", basis(samples.desired), self.coefficients)
@@ -384,7 +370,7 @@ class Departure(NamedTuple):
         return len(off) - (int(beyond[-1]) + 1 if len(beyond) else 0)
 
 
-def departure(samples: Samples, ticks: int, steps: Array) -> Departure | None:
+def departure(samples: LegMotion, ticks: int, steps: Array) -> Departure | None:
     """Compute how far the readings of the last ticks are off any function of the commands.
 
     Args:
@@ -406,42 +392,35 @@ def departure(samples: Samples, ticks: int, steps: Array) -> Departure | None:
     # numpy is three times as fast along rows.
     y, told = samples.measured[first:][use].T.copy(), desired.T.copy()
     speeds = (np.diff(told, prepend=told[:, :1]) / steps[:, None])[:, use]
-    fitted = _fit(basis(desired)[:, use], y)
-    off, worst = fitted.off, fitted.worst
+    coefficients, constants, off, worst, about_mean = _fit(basis(desired)[:, use], y)
     square = (off * off).sum(axis=1)
     moving = np.abs(speeds) > MOVING
     # Few ticks that move are what the coefficients were fitted to.
     moves = moving.sum(axis=1)
     moves_out = moving[np.arange(len(worst))[:, None], worst].sum(axis=1)
-    free = np.maximum(moves - moves_out - fitted.coefficients.shape[1] - 1, 1.0)
+    free = np.maximum(moves - moves_out - coefficients.shape[1] - 1, 1.0)
     rms = np.sqrt((off * off * moving).sum(axis=1) / free) / steps
     told_rad = np.ptp(told[:, use], axis=1)
     still = np.ptp(y, axis=1) < LEAST_SHARE * told_rad
     steady = speeds.std(axis=1) < LEAST_SPREAD
     rms[(moves < LEAST_MOVING) | steady | still] = np.nan
     travels = told_rad > LEAST_TRAVEL_RAD
-    rest = square / np.maximum(fitted.square, 1e-12)
+    rest = square / np.maximum(about_mean, 1e-12)
     share = float(rest[travels].mean()) if travels.any() else 0.0
     lasting = (off[:, 1:] * off[:, :-1]).sum(axis=1) / np.maximum(square, 1e-12)
-    return Departure(rms, lasting, share, fitted.coefficients, fitted.constants, steps)
+    return Departure(rms, lasting, share, coefficients, constants, steps)
 
 
-class _Fitted(NamedTuple):
-    """Holds a fit of n readings by p columns and a constant, without the readings furthest off."""
-
-    coefficients: Array  # (J, p)
-    constants: Array  # (J,) rad
-    off: Array  # (J, n) rad, what is left; 0 of those left out
-    worst: Ints  # (J, SPOILT) those left out
-    square: Array  # (J,) rad², sum of squares of the others about their mean
-
-
-def _fit(x: Array, y: Array) -> _Fitted:
-    """Fit (J, n) readings by (J, n, p) columns, which are centred in place.
+def _fit(x: Array, y: Array) -> tuple[Array, Array, Array, Ints, Array]:
+    """Fit (J, n) readings by (J, n, p) columns, which are centred in place, and a constant.
 
     Without the readings that are furthest off, the normal equations about the means of the others
     are those of all less what these add: with sums s of m centred rows that are left out, of n, the
     means move by -s / (n - m), and the products fall by theirs and by n - m times the move's.
+
+    Returns:
+        (J, p) coefficients; (J,) constants, rad; (J, n) rad, what is left, 0 of those left out;
+        (J, SPOILT) those left out; (J,) rad², sum of squares of the others about their mean.
     """
     each_tick = np.full(y.shape[1], 1.0 / y.shape[1])
     means, level = each_tick @ x, y @ each_tick
@@ -462,7 +441,7 @@ def _fit(x: Array, y: Array) -> _Fitted:
     off = z - (x @ coefficients[:, :, None])[:, :, 0] - above[:, None]
     off[each, worst] = 0.0
     square = (z * z).sum(axis=1) - (z_out * z_out).sum(axis=1) - count * rise**2
-    return _Fitted(coefficients, constants, off, worst, square)
+    return coefficients, constants, off, worst, square
 
 
 def _solved(gram: Array, to: Array) -> Array:
@@ -496,7 +475,7 @@ def low_pass(commands: Array, poles: Sequence[float]) -> Array:
     return np.asarray(np.stack(passed) + commands[0])
 
 
-def held_shares(samples: Samples, steps: Array) -> Array:
+def held_shares(samples: LegMotion, steps: Array) -> Array:
     """Compute the shares of ticks, of those in which a joint moves, that read as the one before.
 
     Args:
@@ -518,7 +497,7 @@ def held_shares(samples: Samples, steps: Array) -> Array:
     return np.where(count >= LEAST_MOVING, held / np.maximum(count, 1), 0.0)
 
 
-def is_old(samples: Samples, ticks: int, *, was: bool = False) -> bool:
+def is_old(samples: LegMotion, ticks: int, *, was: bool = False) -> bool:
     """Whether earlier commands explain the readings that recent ones do not.
 
     Args:
@@ -568,7 +547,7 @@ class Survey(NamedTuple):
     old: bool
 
 
-def survey(samples: Samples, step_rad: float) -> Survey:
+def survey(samples: LegMotion, step_rad: float) -> Survey:
     """Look at a whole recording as the tick does.
 
     Args:
@@ -576,7 +555,7 @@ def survey(samples: Samples, step_rad: float) -> Survey:
             and where none is, a leg for one that carries nothing.
         step_rad: of the encoder.
     """
-    swings, n = samples.swings, len(samples.seq)
+    swings, n = samples.swing, len(samples.seq)
     check, seen, old = InformationCheck(samples.measured.shape[1], step_rad), set[int](), False
     turns = () if swings is None else np.flatnonzero(np.diff(swings.astype(np.int8))).tolist()
     looks = {at + 2: bool(swings[at + 1]) for at in turns} if swings is not None else {}
@@ -585,7 +564,7 @@ def survey(samples: Samples, step_rad: float) -> Survey:
         looks = dict.fromkeys(range(n % every or every, n + 1, every), True)
     light = None if turns else True
     for count, begins in looks.items():
-        newest = samples.part(max(count - NEEDED_SAMPLES, 0), count)
+        newest = samples.part(np.s_[max(count - NEEDED_SAMPLES, 0) : count])
         check.look(count, newest, begins=begins, predicted=light)
         old |= check.found is not None and check.found.kind == "old"
         seen |= set(check.copies)

@@ -25,7 +25,7 @@ import numpy as np
 
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.checks.conventions.feet import LOOSE, Feet, Walker
-from adaptive_contact.checks.conventions.motion import LegMotion, control_ticks
+from adaptive_contact.checks.motion import LegMotion, control_ticks
 from adaptive_contact.checks.watch import Watch
 from adaptive_contact.core.detect.layout import KEPT
 from adaptive_contact.fit.refit_job import Refitter

@@ -17,9 +17,9 @@ import numpy as np
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.checks.conventions.judge import judge_motion
-from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.checks.findings import Fault, Finding, Level, entries
 from adaptive_contact.checks.legcheck import check_ids, check_leg
+from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.core.detect.stream import fault_of
 from adaptive_contact.robot import AngleFrame, Angles, Leg, Mount, Robot, axis_text
 from adaptive_contact.status import LegFacts
@@ -151,7 +151,6 @@ class LiveCheck:
             if len(leg.turned) > 1
         }
         verdict = judge_motion(self._robot, motions)
-        wrong = {finding.leg: finding for finding in verdict.findings}
         sending = [name for name, leg in self._legs.items() if leg.samples or leg.refused]
         published, known = sorted({*sending, *self._strangers}), self._robot.leg_ids
         faults: list[tuple[str | None, Fault]] = [
@@ -167,17 +166,16 @@ class LiveCheck:
                 facts=LegFacts.of(self._robot, name),
             )
             faults += [(name, fault) for fault in of_leg]
-            if name in wrong:
-                level: Level = "error" if wrong[name].grave else "warning"
-                faults.append((name, Fault.of("signs", wrong[name].line(leg.leg), level=level)))
-        judged = {*wrong, *verdict.fits}
+            if wrong := verdict.get(name):
+                level: Level = "error" if wrong.grave else "warning"
+                faults.append((name, Fault.of("signs", wrong.line(leg.leg), level=level)))
         chains = {name: self._legs[name].leg.chain for name in motions}
         return LiveReport(
             seconds=seconds,
             legs=self.legs(),
             moves=self.moves,
-            confirmed=[name for name in self._robot.leg_ids if name in verdict.fits],
-            open=[name for name in self._robot.leg_ids if name in motions and name not in judged],
+            confirmed=[name for name, finding in verdict.items() if finding is None],
+            open=[name for name in motions if name not in verdict],
             by_hand=[leg for leg, chain in chains.items() if chain and not chain.is_straight],
             flatness=_flatness({leg.leg: leg.last for leg in self._legs.values() if leg.rests}),
             findings=entries(faults),

@@ -14,8 +14,9 @@ import numpy as np
 
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.checks.findings import Fault
-from adaptive_contact.checks.information import Samples, held_shares, survey
+from adaptive_contact.checks.information import held_shares, survey
 from adaptive_contact.checks.limits import Limits, find_limits
+from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.checks.position_step import STEP_TOLERANCE, position_step
 from adaptive_contact.core.detect.stream import MAX_RUN, MAX_TIME_NS, MIN_RUN
 from adaptive_contact.fit.recordings import stray_readings
@@ -80,18 +81,14 @@ def check_readings(
         quantum_rad: position step that they should have, None where it is unknown.
         limits_rad: lower and upper one of each joint, in the samples' angles, where they are known.
     """
-    measured = np.array([s.measured for s in samples], dtype=np.float64)
-    desired = np.array([s.desired for s in samples], dtype=np.float64)
-    finite = np.isfinite(np.hstack([measured, desired])).all(axis=1)
-    if not finite.all():
-        count = int((~finite).sum())
-        yield Fault.of("not_finite", f"{count} of {finite.size}", count, total=finite.size)
-    answered = np.array([s.valid is None or all(s.valid) for s in samples])
-    kept = finite & answered
-    seq = np.array([s.seq for s in samples])[kept]
-    measured, desired = measured[kept], desired[kept]
-    if len(measured) < 10:
+    finite = [s for s in samples if all(map(math.isfinite, (*s.measured, *s.desired)))]
+    spoilt, total = len(samples) - len(finite), len(samples)
+    if spoilt:
+        yield Fault.of("not_finite", f"{spoilt} of {total}", spoilt, total=total)
+    motion = LegMotion.of_samples([s for s in finite if s.valid is None or all(s.valid)])
+    if len(motion.seq) < 10:
         return
+    measured, desired = motion.measured, motion.desired
     whole = (measured == np.round(measured)).all() and np.ptp(measured) > 2.0
     measured, jumps = _without_turns(measured)
     desired, told_jumps = _without_turns(desired)
@@ -99,12 +96,11 @@ def check_readings(
     if units is not None:
         yield units
         return
-    phases = [s.phase for s, usable in zip(samples, kept, strict=True) if usable]
-    known = None if None in phases else np.array([phase == "swing" for phase in phases])
+    motion = motion._replace(measured=measured, desired=desired)
     near = np.median(np.abs(measured - desired), axis=0) <= _FAR_RAD
     grids = [position_step(read) or 0.0 for read in measured.T]
     step_rad = quantum_rad or max(grids) or ASSUMED_STEP_RAD
-    found = survey(Samples(seq, measured, desired, known), step_rad)
+    found = survey(motion, step_rad)
     for cause, joints in (("echo", found.copies), ("near_echo", found.unclear)):
         # A copy is near its command; a reading far from it has another fault.
         of_cause = [j for j in joints if near[j]]
@@ -134,7 +130,7 @@ def check_readings(
     if quantum_rad is not None:
         # Steps coarser than described take a joint several ticks each.
         steps = [max(quantum_rad, grid) for grid in grids]
-        yield from _held(Samples(seq, measured, desired), names, steps)
+        yield from _held(motion, names, steps)
     begun = _begun(desired, 0.0)
     if not begun and max(np.ptp(measured, axis=0)) > _WIDE_RAD:
         by_rad = float(np.ptp(measured, axis=0).max())
@@ -184,7 +180,7 @@ def _units(measured: Array, desired: Array, names: Sequence[str], like: str) -> 
     return Fault.of("units", reaches, float(largest[j]), like=like)
 
 
-def _held(samples: Samples, names: Sequence[str], steps_rad: Sequence[float]) -> Iterator[Fault]:
+def _held(samples: LegMotion, names: Sequence[str], steps_rad: Sequence[float]) -> Iterator[Fault]:
     shares = dict(zip(names, held_shares(samples, np.array(steps_rad)).tolist(), strict=True))
     # Held for two ticks it is 0.5, for four 0.75, read every sixth tick 0.83; of the same motions
     # 0.24 at most.

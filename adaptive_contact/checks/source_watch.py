@@ -19,13 +19,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.arrays import Ints
-from adaptive_contact.checks.information import NEEDED_SAMPLES, InformationCheck, Kind, Samples
+from adaptive_contact.checks.information import NEEDED_SAMPLES, InformationCheck, Kind
 from adaptive_contact.checks.limits import SAID, Limits, find_limits
+from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.core.detect.detector import unwrap
 from adaptive_contact.core.detect.layout import (
     BEGAN,
-    KEPT,
     RESTARTED,
     RING,
     TURNED,
@@ -38,7 +37,6 @@ from adaptive_contact.robot import Leg
 from adaptive_contact.wire import Doubt, ServoSample
 
 SOURCE_CAUSES: Final[tuple[Doubt | None, ...]] = (None, "echo", "phase", "stale")
-_FALSE: Final[dict[Kind, int]] = {"copy": ECHO, "held": STALE, "old": STALE, "twin": STALE}
 _SAID: Final[dict[Kind | None, str]] = {
     None: (
         "nothing tells measured from a copy of desired: let the leg carry load, or publish the "
@@ -123,13 +121,13 @@ class SourceWatch:
         if not flags & (BEGAN | TURNED):
             return False
         moved = bool(flags & BEGAN) and self._look_at_limits()
-        samples, stamps = self._newest(self._place.row)
+        samples = self._place.batch.kept(self._place.row, NEEDED_SAMPLES)
         begins, twin = bool(flags & BEGAN), self._find_twin(samples)
         if check.look(leg.kept_n, samples, begins=begins, predicted=predicted, twin=twin):
-            found = check.found
-            leg.false_readings = NONE if found is None else _FALSE[found.kind]
+            found, t_ns = check.found, samples.t_ns
+            leg.false_readings = NONE if found is None else ECHO if found.kind == "copy" else STALE
             if found is not None:
-                self._since_ns = int(stamps[-min(found.since, len(stamps)), 0]) - leg.period_ns
+                self._since_ns = int(t_ns[-min(found.since, len(t_ns))]) - leg.period_ns
         return moved
 
     @property
@@ -175,26 +173,16 @@ class SourceWatch:
         said = _SAID[kind].format(names=names, twin=self._twin)
         return f"{said}; no contacts are reported until then"
 
-    def _newest(self, row: int) -> tuple[Samples, Ints]:
-        """Return the newest samples of a leg of the batch, and their (n, 3) stamps."""
-        stamps, measured, desired, swings = self._place.batch.kept(row, NEEDED_SAMPLES)
-        return Samples(stamps[:, 1], measured, desired, swings), stamps
-
-    def _find_twin(self, samples: Samples) -> Samples | None:
+    def _find_twin(self, samples: LegMotion) -> LegMotion | None:
         """Return the samples of a leg of the batch that sends the same readings while it moves."""
         batch, newest = self._place.batch, samples.measured[-TWIN_TICKS:]
         if np.ptp(newest, axis=0).max() < TWIN_STEPS * self._place.leg.quantum:
             return None
         for row in range(batch.count):
-            last = int(batch.legs["kept_n"][row]) - 1
-            if row == self._place.row or last < TWIN_TICKS:
-                continue
-            read = batch.kept_angles[row, last % KEPT, : newest.shape[1]]
-            if np.array_equal(read, newest[-1]):
-                other = self._newest(row)[0]
-                if np.array_equal(other.measured[-TWIN_TICKS:], newest):
-                    self._twin = batch.described[row].id
-                    return other
+            other = batch.kept(row, NEEDED_SAMPLES)
+            if row != self._place.row and np.array_equal(other.measured[-TWIN_TICKS:], newest):
+                self._twin = batch.described[row].id
+                return other
         return None
 
 

@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, scipy
-from adaptive_contact.checks.conventions.motion import LegMotion
+from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.robot.description import Leg
 
 # Displacements are taken over this time, s: long against the jitter of a command's rounding, short

@@ -28,8 +28,8 @@ from typing import Final
 import numpy as np
 
 from adaptive_contact.checks.conventions.feet import SURE_SHARE, Reading, Walker
-from adaptive_contact.checks.conventions.motion import LegMotion, control_ticks
 from adaptive_contact.checks.conventions.search import OPEN_RAD, Chosen, Search
+from adaptive_contact.checks.motion import LegMotion, control_ticks
 from adaptive_contact.notes import IN_ORDER, WRONG_WAY, ZEROS
 from adaptive_contact.robot.description import AngleFrame, Leg, Mount, Robot, angles_text
 
@@ -89,21 +89,19 @@ class ConventionFinding:
         )
 
 
-@dataclasses.dataclass(frozen=True)
-class Verdict:
-    """What the motion so far says."""
-
-    # legs that are described wrong, in the robot's order
-    findings: tuple[ConventionFinding, ...] = ()
-    fits: tuple[str, ...] = ()  # legs whose description the motion confirms
+# By leg: what is wrong with its description; None where the motion confirms it.
+Findings = dict[str, ConventionFinding | None]
 
 
-def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
+def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Findings:
     """Judge signs, order and zeros of all legs that have a geometry.
 
     Args:
         robot: its description, as the samples were turned by.
         motions: by leg.
+
+    Returns:
+        In the robot's order, without the legs of which the motion shows nothing.
     """
     legs = [leg for leg in _walkers(robot, motions) if len(leg.signs) > 1]
     chosen: dict[str, Chosen] = {}
@@ -118,20 +116,16 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
         if not _carried(legs, chosen):
             described = {leg.leg.id: leg.plain for leg in legs}
             chosen = {leg: c for leg, c in chosen.items() if c.reading == described[leg]}
-    findings, fits = [], []
+    found = {}
     for leg in legs:
         choice = chosen.get(leg.leg.id) or _alone(leg)
-        if choice is None:
-            continue
-        if choice.reading == leg.plain:
-            fits.append(leg.leg.id)
-        else:
+        if choice is not None:
             reason = _PUSHED if choice.pushed else _UPSIDE_DOWN if leg.upside_down() else _AGAINST
-            findings.append(_finding(leg, choice.reading, reason, choice.others))
-    return Verdict(tuple(findings), tuple(fits))
+            found[leg.leg.id] = _finding(leg, choice.reading, reason, choice.others)
+    return found
 
 
-def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
+def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Findings:
     """Judge the signs of legs that hang free, from what gravity does to them at rest.
 
     A servo holds a leg a little below its command: an AX-12A gives way by four to five steps at the
@@ -142,7 +136,7 @@ def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
         robot: its description, as the samples were turned by.
         motions: by leg; holds of 0.36 s and more are looked at.
     """
-    findings, fits = [], []
+    found = {}
     for leg in _walkers(robot, motions):
         up_m = leg.up_at_rest_m()
         # Holds of a leg that hangs before they count, and how far from their commands they must be,
@@ -151,12 +145,10 @@ def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
         if not leg.chain.is_straight or len(up_m) < 4 or abs(float(np.median(up_m))) < least_m:
             continue
         down = float(np.mean(up_m < 0.0))
-        if down >= SURE_SHARE:
-            fits.append(leg.leg.id)
-        elif down <= 1 - SURE_SHARE:
-            turned = leg.plain._replace(directions=_lifts_turned(leg))
-            findings.append(_finding(leg, turned, _HANGS))
-    return Verdict(tuple(findings), tuple(fits))
+        turned = leg.plain._replace(directions=_lifts_turned(leg))
+        if not 1 - SURE_SHARE < down < SURE_SHARE:
+            found[leg.leg.id] = _finding(leg, leg.plain if down > 0.5 else turned, _HANGS)
+    return found
 
 
 def _walkers(robot: Robot, motions: Mapping[str, LegMotion]) -> list[Walker]:
@@ -199,11 +191,13 @@ def _carried(legs: Sequence[Walker], chosen: Mapping[str, Chosen]) -> bool:
 
 def _finding(
     walker: Walker, reading: Reading, reason: str, others: Sequence[Reading] = ()
-) -> ConventionFinding:
-    """What a reading that is not the described one means, with what to write.
+) -> ConventionFinding | None:
+    """What a reading means, with what to write; None for the described one.
 
     Directions and offsets in force are taken along.
     """
+    if reading == walker.plain:
+        return None
     leg, frame, names = walker.leg, AngleFrame(walker.leg), walker.leg.joints
     wrong = list(zip(names, reading.directions, reading.offsets_rad, strict=True))
     turned = [name for name, sign, _ in wrong if sign < 0]
