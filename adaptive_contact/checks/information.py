@@ -229,10 +229,9 @@ class InformationCheck:
         # Free motion is a function of the commands: where the leg's model predicts it, or nothing
         # was in evidence that the leg had to carry, these may be its own.
         enough = max(ticks, ENOUGH_TICKS)
-        light = open_ = False
-        if self.found is None:
-            light = predicted is not False and not carries(samples.part(np.s_[-enough:]), steps)
-            open_ = light or bool(predicted)
+        new = self.found is None
+        light = new and predicted is not False and not carries(samples.part(np.s_[-enough:]), steps)
+        open_ = light or (new and bool(predicted))
         if len(copies) and not open_:
             return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
         if still and np.isnan(off.rms[list(still)]).all():
@@ -297,8 +296,6 @@ def equal_to_commands(
     """
     read, told = samples.measured[-ticks:].T.copy(), samples.desired
     equal = np.abs(read[:, None] - _lagged(told)[:, :, -ticks:]) < EQUAL_RAD  # (J, lags, ticks)
-    if np.count_nonzero(equal) < min(EQUAL_TICKS, 2 * run):
-        return (), ticks
     moved = np.abs(np.diff(told, axis=0, prepend=told[:1])).T
     ends = len(told) - np.arange(LAGS)
     copies = np.zeros(read.shape, dtype=np.bool_)
@@ -342,11 +339,8 @@ def off_grid(read: Array, sure: Mask, step_rad: float) -> Mask:
 
 def in_runs(of: Mask, least: int) -> Mask:
     """Select the ticks of an (n,) mask that are in a row of so many and more."""
-    edges = np.flatnonzero(np.diff(of, prepend=False, append=False))
-    found = np.zeros(len(of), dtype=np.bool_)
-    for begin, end in edges.reshape(-1, 2):
-        found[begin:end] = end - begin >= least
-    return found
+    begins = np.convolve(of, np.ones(least), "valid") == least
+    return np.asarray(np.convolve(begins, np.ones(least)) > 0.0)
 
 
 class Departure(NamedTuple):

@@ -107,14 +107,10 @@ def judge_fit(
 
 def _circles(owners: Mapping[str, Owner]) -> dict[str, Owner]:
     """Return the owners that form closed circles: every leg's samples are somewhere."""
-    left = dict(owners)
-    while True:
-        named = {owner.leg for owner in left.values()}
-        open_ones = [leg for leg in left if left[leg].leg not in left or leg not in named]
-        if not open_ones:
-            return left
-        for leg in open_ones:
-            del left[leg]
+    left = set(owners)
+    for _ in owners:
+        left = {owners[leg].leg for leg in left} & owners.keys()
+    return {leg: owner for leg, owner in owners.items() if leg in left}
 
 
 def _errors(

@@ -8,6 +8,7 @@ joint moved, and where the foot went by the description.
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Mapping
 from typing import Final
@@ -116,18 +117,16 @@ class LiveCheck:
 
     def take(self, received: Received) -> None:
         """Process one message; all but samples are ignored."""
-        leg_id = leg_of_key(received.key)
-        if leg_id is None or not received.key.endswith("/servo"):
-            return
-        leg = self._legs.get(leg_id)
-        if leg is None:
-            self._strangers.add(leg_id)
+        leg = leg_of_key(received.key)
+        if leg is None or not received.key.endswith("/servo"):
             return
         sample = decode(received.payload, ServoSample, received.encoding)
-        if isinstance(sample, Rejected):
-            leg.refused.append(sample)
-            return
-        self.take_sample(leg_id, sample)
+        if leg not in self._legs:
+            self._strangers.add(leg)
+        elif isinstance(sample, Rejected):
+            self._legs[leg].refused.append(sample)
+        else:
+            self.take_sample(leg, sample)
 
     def take_sample(self, leg_id: str, sample: ServoSample) -> None:
         """Process a sample of a leg of the description."""
@@ -138,10 +137,6 @@ class LiveCheck:
     def legs(self) -> list[LegView]:
         """Return every leg that sends samples, as it is now."""
         return [leg.view() for leg in self._legs.values() if leg.turned]
-
-    def angles(self) -> dict[str, list[float]]:
-        """Return each leg's newest reading, (J,) rad, by leg."""
-        return {name: leg.turned[-1].measured for name, leg in self._legs.items() if leg.turned}
 
     def report(self, seconds: float) -> LiveReport:
         """Judge what was taken in within ``seconds``."""
@@ -196,7 +191,7 @@ class _LegCheck:
         self._offsets_rad = told.offsets_rad or (0.0,) * len(leg.joints)
         self._count = 0
         # A leg rests when no joint has moved by two steps of an AX-12A for this long, s.
-        self._recent: deque[Array] = deque(maxlen=max(round(0.3 / robot.period_s), 2))
+        self._rest_ticks = max(round(0.3 / robot.period_s), 2)
         self._rested: Array | None = None
 
     def take(self, sample: ServoSample) -> str | None:
@@ -207,26 +202,26 @@ class _LegCheck:
         if not answered or fault_of(sample, len(self.leg.joints)) is not None:
             return None
         self.turned.append(self._frame.sample(sample))
-        self._recent.append(np.array(self.turned[-1].measured))
         if not self.rests:
             return None
-        now = self.last
-        before, self._rested = self._rested, now
-        if before is None or np.abs(now - before).max() < 0.12:  # 7 degrees: no move by hand
-            # A joint at rest creeps: a move is measured from where the rest began.
-            self._rested = now if before is None else before
+        before, now = self._rested, self.last
+        # 7 degrees: no move by hand.  A joint at rest creeps: a move is measured from where the
+        # rest began.
+        if before is not None and np.abs(now - before).max() < 0.12:
             return None
-        return _moved(self.leg, before, now)
+        self._rested = now
+        return None if before is None else _moved(self.leg, before, now)
 
     @property
     def last(self) -> Array:
         """Return the newest reading, (J,) rad."""
-        return self._recent[-1]
+        return np.array(self.turned[-1].measured)
 
     @property
     def rests(self) -> bool:
-        full = len(self._recent) == self._recent.maxlen
-        return full and bool((np.ptp(np.array(self._recent), axis=0) < 0.011).all())
+        rows = itertools.islice(reversed(self.turned), self._rest_ticks)
+        recent = np.array([row.measured for row in rows])
+        return len(recent) == self._rest_ticks and bool((np.ptp(recent, axis=0) < 0.011).all())
 
     def view(self) -> LegView:
         newest, leg = self.turned[-1], self.leg

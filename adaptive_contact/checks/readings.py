@@ -140,22 +140,18 @@ def check_readings(
         if quantum_rad and grids[j] and abs(grids[j] / quantum_rad - 1.0) > STEP_TOLERANCE:
             read = f"{name} steps by {grids[j]:.4g} rad"
             yield Fault.of("quantum", read, grids[j], quantum_rad=quantum_rad)
-    if limits_rad is not None:
-        yield from _beyond_limits(measured, names, limits_rad)
     none = Limits.none(len(names))
     said = none if limits_rad is None else Limits(*np.array(limits_rad).T)
+    yield from _beyond_limits(measured, names, said)
     ends = find_limits(None, said, none, step_rad, measured, desired)
     reached = ends.reached(names, desired)
     if reached:
         yield Fault.of("goals", reached)
 
 
-def _beyond_limits(
-    measured: Array, names: Sequence[str], limits_rad: Sequence[Sequence[float]]
-) -> Iterator[Fault]:
+def _beyond_limits(measured: Array, names: Sequence[str], limits: Limits) -> Iterator[Fault]:
     """Name joints whose readings, (n, J) rad, are beyond their limits and not for a moment only."""
-    lower, upper = np.array(limits_rad).T
-    beyond = np.maximum(lower - measured, measured - upper)
+    beyond = np.maximum(limits.lower - measured, measured - limits.upper)
     for name, by in zip(names, beyond.T, strict=True):
         # Beyond its limits by this, rad, in most samples, is no overshoot.
         out = by > 0.05
@@ -252,7 +248,9 @@ def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[F
         )
         return
     off = float(np.median(np.abs(measured - desired)))
-    if followed and _runs_backwards(measured, desired):
+    far_enough = min(moved, commanded) >= 2 * _COMMANDED_RAD
+    # Positions fall while commands rise.
+    if followed and far_enough and np.corrcoef(measured, desired)[0, 1] < -0.7:
         yield Fault.of("backwards", name, moved)
     elif off > _FAR_RAD and not begun:
         yield Fault.of("far-still", f"{name} by {off:.2f} rad", off, "still")
@@ -263,10 +261,3 @@ def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[F
         usual = float(np.median(glitches))
         count = f"{name} {len(glitches)} of {len(measured)}, to {usual:.3f} rad in the median"
         yield Fault.of("glitches", count, len(glitches), total=len(measured))
-
-
-def _runs_backwards(measured: Array, desired: Array) -> bool:
-    """Return whether positions fall while commands rise; False for a joint that hardly moves."""
-    if min(np.ptp(measured), np.ptp(desired)) < 2 * _COMMANDED_RAD:
-        return False
-    return float(np.corrcoef(measured, desired)[0, 1]) < -0.7

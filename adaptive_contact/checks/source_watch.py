@@ -68,6 +68,7 @@ class SourceWatch:
     """Reports what is wrong with the source of one leg's samples.
 
     Attributes:
+        check: whether readings carry information that the commands do not have.
         limits_note: one line for the operator while goals go beyond what the servos do, else None.
     """
 
@@ -78,7 +79,7 @@ class SourceWatch:
 
     def reset(self) -> None:
         """Reset the findings, and the evidence for them."""
-        self._check = InformationCheck(len(self._leg.joints), self._place.leg.quantum)
+        self.check = InformationCheck(len(self._leg.joints), self._place.leg.quantum)
         self._since_ns = 0
         self._twin = ""  # leg of the same readings
         self.limits_note: str | None = None
@@ -90,14 +91,9 @@ class SourceWatch:
         return SOURCE_CAUSES[int(self._place.leg.cause)]
 
     @property
-    def suspected(self) -> bool:
-        """Whether readings may be copies, by the last look."""
-        return self._check.suspected
-
-    @property
     def unproved(self) -> bool:
         """Whether nothing tells the readings from a copy, or one look alone has found a fault."""
-        return self._check.unproved or self._check.suspicion is not None
+        return self.check.unproved or self.check.suspicion is not None
 
     @property
     def since_ns(self) -> int:
@@ -115,7 +111,7 @@ class SourceWatch:
         Returns:
             Whether the servos stop elsewhere than was known: what was learned is of other commands.
         """
-        leg, check = self._place.leg, self._check
+        leg, check = self._place.leg, self.check
         if flags & RESTARTED:
             check.restart()
         if not flags & (BEGAN | TURNED):
@@ -160,7 +156,7 @@ class SourceWatch:
     @property
     def note(self) -> str | None:
         """One line for the operator, None when all is well."""
-        cause, found = self.cause, self._check.found or self._check.suspicion
+        cause, found = self.cause, self.check.found or self.check.suspicion
         if cause == "phase":
             return (
                 "phase is swapped: the foot swings while the samples say stance; no contacts are "
@@ -284,14 +280,13 @@ class Seams:
         self._last = np.zeros(joints)
 
     def unwrap(self, sample: ServoSample, *, restart: bool) -> ServoSample:
-        """Return the sample with its angles in one turn; itself where they already are."""
+        """Return the sample with its angles in one turn."""
         measured, desired = np.array(sample.measured), np.array(sample.desired)
         preview = np.array(sample.preview or ()).reshape(-1, len(desired))
-        leg = self._legs[0]
-        unwrap(leg, measured, desired, preview, self._last, restart)
-        angles = {"measured": measured.tolist(), "desired": desired.tolist()}
-        if sample.preview is not None:
-            angles["preview"] = preview.tolist()
-        if all(getattr(sample, name) == value for name, value in angles.items()):
-            return sample
-        return msgspec.structs.replace(sample, **angles)
+        unwrap(self._legs[0], measured, desired, preview, self._last, restart)
+        return msgspec.structs.replace(
+            sample,
+            measured=measured.tolist(),
+            desired=desired.tolist(),
+            preview=None if sample.preview is None else preview.tolist(),
+        )

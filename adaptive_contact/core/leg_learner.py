@@ -390,7 +390,7 @@ class ContactLearner:
             return True
         if assessed:
             # Of readings that may be copies, the model would be learned again.
-            suspected = self.report.source.suspected
+            suspected = self.report.source.check.suspected
             # Taken up behind the tick: its command is then the first of the next model's past.
             if self.place.leg.ticks and not suspected and lifecycle.begin_again():
                 self._let_go()

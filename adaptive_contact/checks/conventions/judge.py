@@ -113,9 +113,11 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Findings:
         if len(bent) > 1:
             # Feet of a trot stand two at a time.
             chosen |= Search(bent, robot.period_s, 1).signs()
-        if not _carried(legs, chosen):
-            described = {leg.leg.id: leg.plain for leg in legs}
-            chosen = {leg: c for leg, c in chosen.items() if c.reading == described[leg]}
+        described = {leg.leg.id: Chosen(leg.plain) for leg in legs}
+        carry = [leg.carries((described | chosen)[leg.leg.id].reading) for leg in legs]
+        # Half of the feet carry where they stand; of a robot that hangs nothing shows.
+        if 2 * sum(carry) < len(carry):
+            chosen = {leg: c for leg, c in chosen.items() if c.reading == described[leg].reading}
     found = {}
     for leg in legs:
         choice = chosen.get(leg.leg.id) or _alone(leg)
@@ -173,20 +175,13 @@ def _alone(leg: Walker) -> Chosen | None:
         return None
     yaws = np.flatnonzero(~leg.chain.lifts)
     lifting = [r for r in leg.signs if all(r.directions[j] > 0 for j in yaws)]
-    left = [r for r in lifting if not leg.insane(r) and leg.within(r)]
+    left = [r for r in lifting if leg.sane(r, 0.5) and leg.within(r)]
     # That all of them are turned round is the usual case: half of all robots are.
     left.sort(key=lambda reading: reading.directions != _lifts_turned(leg))
     best = next((reading for reading in left if leg.sane(reading)), None)
     if best is None or (pushed and not leg.carries(best)):
         return None
     return Chosen(best, tuple(reading for reading in left if reading != best), pushed)
-
-
-def _carried(legs: Sequence[Walker], chosen: Mapping[str, Chosen]) -> bool:
-    """Whether half of the feet carry where they stand; of a robot that hangs nothing shows."""
-    readings = [chosen[leg.leg.id].reading if leg.leg.id in chosen else leg.plain for leg in legs]
-    carry = [leg.carries(reading) for leg, reading in zip(legs, readings, strict=True)]
-    return 2 * sum(carry) >= len(carry)
 
 
 def _finding(
@@ -217,12 +212,9 @@ def _finding(
             order=reading.order,
         )
     shifted = [f"{name} by {offset:+.2f} rad" for name, _, offset in wrong if offset]
-    told = [
-        (s * d, s * o)
-        for s, d, o in zip(reading.directions, frame.directions, frame.offsets_rad, strict=True)
-    ]
-    directions = tuple(d for d, _ in told)
-    offsets = tuple(o + p for (_, o), p in zip(told, reading.offsets_rad, strict=True))
+    signs, zeros = reading.directions, reading.offsets_rad
+    directions = tuple(s * d for s, d in zip(signs, frame.directions, strict=True))
+    offsets = tuple(s * o + p for s, o, p in zip(signs, frame.offsets_rad, zeros, strict=True))
     advice = "write " + angles_text(directions, offsets, "[leg.angles]")
     grow = f"the angles of {_listed(turned)} {WRONG_WAY}" if turned else ""
     message = f"{grow}: {reason}"

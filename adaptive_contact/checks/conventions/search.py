@@ -126,8 +126,9 @@ class Search:
         worst = int(np.argmax(self._feet.costs(self._plain)))
         rest = [k for k in self._all if k != worst]
         # In a tripod two are left that stand together.
-        alone = self._feet.costs(self._plain, 1, rest)[rest]
-        right = (alone < RIGID**2).all() and all(self._legs[k].sane(self._plain[k]) for k in rest)
+        alone = Feet([self._legs[k] for k in rest], self._feet.lag)
+        costs = alone.costs([self._plain[k] for k in rest], 1)
+        right = (costs < RIGID**2).all() and all(self._legs[k].sane(self._plain[k]) for k in rest)
         return worst if right and len(rest) > 2 else None
 
     def _near_zeros(self) -> Readings:
