@@ -66,12 +66,12 @@ class Owner(NamedTuple):
 
 def judge_fit(
     robot: Robot, baseline: Baseline, motions: Mapping[str, LegMotion]
-) -> dict[str, Owner]:
+) -> dict[str, Owner | None]:
     """Compare every leg's residuals under its own and the others' baselines.
 
     Returns:
         By the name of the samples, the leg that they are of, where the models distinguish legs;
-        the same name where the models show that it is right.
+        None where the models show that the name is right.
     """
     ticks = control_ticks(motions, robot.period_s)
     errors = {
@@ -101,8 +101,7 @@ def judge_fit(
     )
     if not at_home:
         return {}
-    right = {leg: Owner(leg, "") for leg, under in errors.items() if under and leg not in owners}
-    return {**right, **owners}
+    return {leg: owners.get(leg) for leg, under in errors.items() if under}
 
 
 def _circles(owners: Mapping[str, Owner]) -> dict[str, Owner]:
@@ -156,7 +155,7 @@ def judge_ids(
         By the name that samples come under: the leg that they are of.
     """
     known = {} if baseline is None else judge_fit(robot, baseline, motions)
-    fitted = {leg: owner for leg, owner in known.items() if owner.leg != leg}
+    fitted = {leg: owner for leg, owner in known.items() if owner is not None}
     legs = [leg for leg in robot.legs if leg.id in motions]
     if (
         not 3 <= len(legs) <= 6
@@ -188,7 +187,7 @@ def judge_ids(
     orders.sort(key=lambda order: sum(i != k for i, k in enumerate(order)))
     order = orders[0]
     moved = [i for i in own if order[i] != i]
-    if any(known.get(ids[i], Owner("", "")).leg == ids[i] for i in moved):
+    if any(ids[i] in known and known[ids[i]] is None for i in moved):
         return {}
     mirrored = feet.rigid([len(own) if i in moved else i for i in own])
     placed = {}

@@ -182,8 +182,7 @@ def _shape(samples: Sequence[ServoSample], joints: int, facts: LegFacts | None) 
         yield Fault.of("joints", joints=joints, count=len(facts.joints), names=names)
     odd = sum(len(s.measured) != joints or len(s.desired) != joints for s in samples)
     if odd:
-        count = f"{odd} of {len(samples)}"
-        yield Fault.of("joints-odd", count, odd, "odd", total=len(samples))
+        yield Fault.of("joints-odd", f"{odd} of {len(samples)}", odd, "odd", total=len(samples))
     if facts is not None and not facts.lengths and all(s.phase is None for s in samples):
         yield Fault.of("phase")
     yield from _phases(samples)

@@ -200,17 +200,10 @@ class RateWatch:
         self.own["period_ns"] = period_ns
         self._own_ring = np.zeros((1, RING, 3), dtype=np.int64)
 
-    @classmethod
-    def of(cls, place: LegPlace) -> RateWatch:
-        """Make the watch of a leg in a batch."""
-        return cls(place.leg.period_ns, place)
-
     @property
     def since_ns(self) -> int:
         """Scheduled time of the oldest tick by which the rate is judged."""
         count = self.leg.ring_n
-        if not count:
-            return 0
         return int(self._ring[(count - min(int(self.leg.rate_ticks), count, RING)) % RING, 2])
 
     @property

@@ -169,11 +169,11 @@ class Walker:
         inside = (turned >= limits.lower) & (turned <= limits.upper)
         return bool(inside.all(axis=1).mean() >= SURE_SHARE)
 
-    def upside_down(self, *, pushed: bool = False) -> bool:
-        """Whether a leg that walks moves the other way round; ``pushed``: no phase tells."""
+    def upside_down(self) -> bool:
+        """Whether a leg that walks moves the other way round, by all that its phase can show."""
         shown = self._upright(self.plain)
-        by = self.motion.swing is None if pushed else len(shown) == 2
-        return by and max(shown) <= 1 - SURE_SHARE
+        whole = len(shown) == (1 if self.motion.swing is None else 2)
+        return whole and max(shown) <= 1 - SURE_SHARE
 
     def carries(self, reading: Reading) -> bool:
         """Whether the foot is above its command where it stands, as the ground pushes it up."""

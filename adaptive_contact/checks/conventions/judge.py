@@ -122,7 +122,8 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Findings:
     for leg in legs:
         choice = chosen.get(leg.leg.id) or _alone(leg)
         if choice is not None:
-            reason = _PUSHED if choice.pushed else _UPSIDE_DOWN if leg.upside_down() else _AGAINST
+            turned = leg.motion.swing is not None and leg.upside_down()
+            reason = _PUSHED if choice.pushed else _UPSIDE_DOWN if turned else _AGAINST
             found[leg.leg.id] = _finding(leg, choice.reading, reason, choice.others)
     return found
 
@@ -170,9 +171,9 @@ def _lifts_turned(leg: Walker) -> tuple[int, ...]:
 
 def _alone(leg: Walker) -> Chosen | None:
     """What a leg shows by itself; None for nothing that is sure."""
-    pushed = leg.upside_down(pushed=True)
-    if not pushed and not leg.upside_down():
+    if not leg.upside_down():
         return None
+    pushed = leg.motion.swing is None
     yaws = np.flatnonzero(~leg.chain.lifts)
     lifting = [r for r in leg.signs if all(r.directions[j] > 0 for j in yaws)]
     left = [r for r in lifting if leg.sane(r, 0.5) and leg.within(r)]
@@ -224,8 +225,8 @@ def _finding(
             "; zeros are found to some 0.05 rad; where they are right, measure lengths_m and mount"
         )
     for other in others:
-        signs = [s * d for s, d in zip(other.directions, frame.directions, strict=True)]
-        advice += f"; if that does not help, directions = {signs}"
+        rival = [s * d for s, d in zip(other.directions, frame.directions, strict=True)]
+        advice += f"; if that does not help, directions = {rival}"
     return ConventionFinding(
         leg.id,
         tuple(name for name, sign, offset in wrong if sign < 0 or offset),
