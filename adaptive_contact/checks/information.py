@@ -221,8 +221,7 @@ class InformationCheck:
         off = departure(samples, ticks, steps)
         if off is None:
             return None, False
-        kind = None if self.found is None else self.found.kind
-        before = self.found.joints if self.found is not None and kind == "copy" else ()
+        before = self.copies
         copies = np.flatnonzero(off.rms < (COPY_STAYS if before else COPY_STEPS))
         self.suspected = bool(len(copies))
         still, self.open_joints = before or self.open_joints, tuple(copies.tolist())
@@ -233,7 +232,7 @@ class InformationCheck:
         light = new and predicted is not False and not carries(samples.part(np.s_[-enough:]), steps)
         open_ = light or (new and bool(predicted))
         if len(copies) and not open_:
-            return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
+            return Finding("copy", tuple(copies.tolist()), off.since(samples, copies, steps)), True
         if still and np.isnan(off.rms[list(still)]).all():
             self.open_joints = still
             return self.found, False  # joints that hardly move clear nothing
@@ -251,7 +250,7 @@ class InformationCheck:
         # leave.
         if own is not None and own.rest < 0.5 * off.rest:
             return Finding("twin", tuple(range(len(steps))), 2 * ticks), True
-        was = kind == "old"
+        was = self.found is not None and self.found.kind == "old"
         if (was or off.rest > OLD_LOOK) and is_old(samples, enough, was=was):
             found = None if light else Finding("old", tuple(range(len(steps))), 2 * ticks)
             return found, not light
@@ -299,12 +298,10 @@ def equal_to_commands(
     moved = np.abs(np.diff(told, axis=0, prepend=told[:1])).T
     ends = len(told) - np.arange(LAGS)
     copies = np.zeros(read.shape, dtype=np.bool_)
-    counts = equal.sum(axis=2)
-    if counts.max() >= EQUAL_TICKS:
-        off = off_grid(read, np.asarray(~equal.any(axis=1)), step_rad)
-        for lag in np.flatnonzero((counts >= EQUAL_TICKS).any(axis=0)) if off.any() else ():
-            same = equal[:, lag] & off & (moved[:, ends[lag] - ticks : ends[lag]] > 0.0)
-            copies |= same & (same.sum(axis=1, keepdims=True) >= EQUAL_TICKS)
+    off = off_grid(read, np.asarray(~equal.any(axis=1)), step_rad)
+    for lag in np.flatnonzero((equal.sum(axis=2) >= EQUAL_TICKS).any(axis=0)):
+        same = equal[:, lag] & off & (moved[:, ends[lag] - ticks : ends[lag]] > 0.0)
+        copies |= same & (same.sum(axis=1, keepdims=True) >= EQUAL_TICKS)
     for lag in np.flatnonzero((equal.sum(axis=0) > 1).sum(axis=1) >= run):
         moving = moved[:, ends[lag] - ticks : ends[lag]] > 0.5 * step_rad
         whole = (equal[:, lag] | ~moving).all(axis=0) & (moving.sum(axis=0) > 1)
@@ -351,14 +348,13 @@ class Departure(NamedTuple):
     rest: float  # share of the readings' variance that is no function of the commands
     coefficients: Array  # (J, p)
     constants: Array  # (J,) rad
-    steps: Array  # (J,) rad
 
-    def since(self, samples: LegMotion, joints: Ints) -> int:
+    def since(self, samples: LegMotion, joints: Ints, steps: Array) -> int:
         """Count the samples up to the newest of which the same function holds for joints."""
         off = samples.measured - self.constants
         off -= np.einsum("jtp,jp->tj", basis(samples.desired), self.coefficients)
         # Steps by which a tick before may be off and belong to the fault.
-        beyond = np.flatnonzero((np.abs(off) > 2.0 * self.steps)[:, joints].any(axis=1))
+        beyond = np.flatnonzero((np.abs(off) > 2.0 * steps)[:, joints].any(axis=1))
         # A single reading that a bus has spoilt is no beginning.
         beyond = beyond[1:][np.diff(beyond) <= 2]
         return len(off) - (int(beyond[-1]) + 1 if len(beyond) else 0)
@@ -402,7 +398,7 @@ def departure(samples: LegMotion, ticks: int, steps: Array) -> Departure | None:
     rest = square / np.maximum(about_mean, 1e-12)
     share = float(rest[travels].mean()) if travels.any() else 0.0
     lasting = (off[:, 1:] * off[:, :-1]).sum(axis=1) / np.maximum(square, 1e-12)
-    return Departure(rms, lasting, share, coefficients, constants, steps)
+    return Departure(rms, lasting, share, coefficients, constants)
 
 
 def _fit(x: Array, y: Array) -> tuple[Array, Array, Array, Ints, Array]:
@@ -480,8 +476,6 @@ def held_shares(samples: LegMotion, steps: Array) -> Array:
         (J,), 0 where there are too few such ticks.
     """
     y, u, seq, around = samples.measured, samples.desired, samples.seq, HELD_AROUND
-    if len(y) <= 2 * around:
-        return np.zeros(len(steps))
     moves = np.abs(y[2 * around :] - y[: -2 * around]) > 2 * around * steps
     moves &= (seq[2 * around :] - seq[: -2 * around] == 2 * around)[:, None]
     before, now = slice(around - 1, -around - 1), slice(around, -around)
@@ -556,10 +550,9 @@ def survey(samples: LegMotion, step_rad: float) -> Survey:
     if len(turns) < LEAST_TURNS:
         every = ENOUGH_TICKS // 2
         looks = dict.fromkeys(range(n % every or every, n + 1, every), True)
-    light = None if turns else True
     for count, begins in looks.items():
         newest = samples.part(np.s_[max(count - NEEDED_SAMPLES, 0) : count])
-        check.look(count, newest, begins=begins, predicted=light)
+        check.look(count, newest, begins=begins, predicted=None if turns else True)
         old |= check.found is not None and check.found.kind == "old"
         seen |= set(check.copies)
     seen |= set(check.open_joints if check.unproved else ())

@@ -99,9 +99,7 @@ def judge_fit(
         for leg, under in errors.items()
         for owner in [owners[leg].leg if leg in owners else leg]
     )
-    if not at_home:
-        return {}
-    return {leg: owners.get(leg) for leg, under in errors.items() if under}
+    return {leg: owners.get(leg) for leg, under in errors.items() if under and at_home}
 
 
 def _circles(owners: Mapping[str, Owner]) -> dict[str, Owner]:
@@ -117,9 +115,7 @@ def _errors(
 ) -> dict[str, float]:
     """Return the rms of a leg's free residuals, rad, under every model of its library."""
     own = baseline.legs[leg].model
-    swing = motion.swing
-    if swing is None:
-        swing = infer_phase(motion.desired, robot.leg(leg))
+    swing = infer_phase(motion.desired, robot.leg(leg)) if motion.swing is None else motion.swing
     if swing is None:
         return {}
     free, sound = cautious(swing), np.ones(len(swing), dtype=bool)
@@ -236,5 +232,4 @@ def _found_ids(
 
 def watch_ids(robot: Robot, baseline: Baseline | None, refitter: Refitter) -> Watch[Owner]:
     """Make the watch of whose samples come under each leg's name."""
-    judge = functools.partial(_found_ids, robot, baseline)
-    return Watch(robot, refitter, "*ids", TIMES_S, judge)
+    return Watch(robot, refitter, "*ids", TIMES_S, functools.partial(_found_ids, robot, baseline))

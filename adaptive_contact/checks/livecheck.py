@@ -18,7 +18,7 @@ import numpy as np
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.checks.conventions.judge import judge_motion
-from adaptive_contact.checks.findings import Fault, Finding, Level, entries
+from adaptive_contact.checks.findings import Fault, Finding, entries
 from adaptive_contact.checks.legcheck import check_ids, check_leg
 from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.core.detect.stream import fault_of
@@ -47,9 +47,7 @@ class JointView(msgspec.Struct, frozen=True, kw_only=True):
     low_rad: float
     high_rad: float
     limits_rad: tuple[float, float] | None  # of robot.toml
-    # direction, offset_rad: of `[leg.angles]`, or of `[leg.servos]`, which the bridge has applied
-    direction: int
-    offset_rad: float
+    direction: int  # of `[leg.angles]`, or of `[leg.servos]`, which the bridge has applied
     wire_rad: float  # the newest reading as the source sends it
 
     @property
@@ -63,7 +61,6 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
     """Describes one leg as it is now."""
 
     leg: str
-    samples: int  # taken in so far
     rate_hz: float | None  # by the source's stamps; None for too few
     joints: list[JointView]
     # height_m, reach_m: of the foot over the first axis, and away from it; None without lengths
@@ -162,8 +159,10 @@ class LiveCheck:
             )
             faults += [(name, fault) for fault in of_leg]
             if wrong := verdict.get(name):
-                level: Level = "error" if wrong.grave else "warning"
-                faults.append((name, Fault.of("signs", wrong.line(leg.leg), level=level)))
+                signs = Fault.of(
+                    "signs", wrong.line(leg.leg), level="error" if wrong.grave else "warning"
+                )
+                faults.append((name, signs))
         chains = {name: self._legs[name].leg.chain for name in motions}
         return LiveReport(
             seconds=seconds,
@@ -188,8 +187,6 @@ class _LegCheck:
         self._frame = AngleFrame(leg)
         told = leg.angles or leg.servos or Angles()
         self._signs = told.directions or (1,) * len(leg.joints)
-        self._offsets_rad = told.offsets_rad or (0.0,) * len(leg.joints)
-        self._count = 0
         # A leg rests when no joint has moved by two steps of an AX-12A for this long, s.
         self._rest_ticks = max(round(0.3 / robot.period_s), 2)
         self._rested: Array | None = None
@@ -197,7 +194,6 @@ class _LegCheck:
     def take(self, sample: ServoSample) -> str | None:
         """Process a sample; return what was moved, once it rests again."""
         self.samples.append(sample)
-        self._count += 1
         answered = sample.valid is None or all(sample.valid)
         if not answered or fault_of(sample, len(self.leg.joints)) is not None:
             return None
@@ -237,12 +233,11 @@ class _LegCheck:
                 high_rad=float(measured[:, j].max()),
                 limits_rad=None if limits is None else (limits.lower_rad[j], limits.upper_rad[j]),
                 direction=self._signs[j],
-                offset_rad=self._offsets_rad[j],
                 wire_rad=self._frame.wire(newest.measured)[j],
             )
             for j, name in enumerate(leg.joints)
         ]
-        view = LegView(leg=leg.id, samples=self._count, rate_hz=self._rate_hz(), joints=joints)
+        view = LegView(leg=leg.id, rate_hz=self._rate_hz(), joints=joints)
         if leg.chain is None:
             return view
         place = leg.chain.foot(newest.measured)

@@ -60,10 +60,15 @@ def check_fields(samples: Sequence[ServoSample], joints: int) -> Iterator[Fault]
     for name, (expected, is_right) in _FIELDS.items():
         wrong = [s for s in samples if not is_right(s, joints)]
         if wrong:
-            count = f"{len(wrong)} of {len(samples)}"
-            total = len(samples)
+            count, total = len(wrong), len(samples)
             yield Fault.of(
-                "field", count, len(wrong), name, total=total, name=name, expected=expected
+                "field",
+                f"{count} of {total}",
+                count,
+                name,
+                total=total,
+                name=name,
+                expected=expected,
             )
 
 
@@ -115,8 +120,7 @@ def check_readings(
         return
     for j, name in enumerate(names):
         turns = round(float(np.median(measured[:, j] - desired[:, j])) / math.tau)
-        if turns:
-            measured[:, j] -= turns * math.tau
+        measured[:, j] -= turns * math.tau
         jumped = int(jumps[j] + told_jumps[j])
         if jumped or turns:
             detail = f"{name} jumps {jumped} times" if jumped else f"{name} reads {turns:+d} turns"
@@ -129,8 +133,7 @@ def check_readings(
         return
     if quantum_rad is not None:
         # Steps coarser than described take a joint several ticks each.
-        steps = [max(quantum_rad, grid) for grid in grids]
-        yield from _held(motion, names, steps)
+        yield from _held(motion, names, [max(quantum_rad, grid) for grid in grids])
     begun = _begun(desired, 0.0)
     if not begun and max(np.ptp(measured, axis=0)) > _WIDE_RAD:
         by_rad = float(np.ptp(measured, axis=0).max())
@@ -172,15 +175,14 @@ def _units(measured: Array, desired: Array, names: Sequence[str], like: str) -> 
     turns = largest[j] <= (8 * math.pi) and np.ptp(measured[:, j]) < math.pi
     if largest[j] <= (2 * math.pi + 0.1) or (turns and like == "degrees"):
         return None
-    reaches = f"{names[j]} reaches {largest[j]:.4g}"
-    return Fault.of("units", reaches, float(largest[j]), like=like)
+    return Fault.of("units", f"{names[j]} reaches {largest[j]:.4g}", float(largest[j]), like=like)
 
 
 def _held(samples: LegMotion, names: Sequence[str], steps_rad: Sequence[float]) -> Iterator[Fault]:
-    shares = dict(zip(names, held_shares(samples, np.array(steps_rad)).tolist(), strict=True))
     # Held for two ticks it is 0.5, for four 0.75, read every sixth tick 0.83; of the same motions
     # 0.24 at most.
-    shares = {name: share for name, share in shares.items() if share > 0.4}
+    every = zip(names, held_shares(samples, np.array(steps_rad)).tolist(), strict=True)
+    shares = {name: share for name, share in every if share > 0.4}
     if shares:
         most = max(shares.values())
         yield Fault.of("held", f"{', '.join(shares)} in up to {most:.0%} of ticks", most)
@@ -212,9 +214,11 @@ def _order_of(measured: Array, desired: Array) -> tuple[int, ...] | None:
     """Return whose command every joint follows, if that is another joint's; else None."""
     joints = measured.shape[1]
     # Joints whose orders are all tried.
-    if not 2 <= joints <= 4 or (np.ptp(desired, axis=0) < 2 * _COMMANDED_RAD).any():
-        return None
-    if min(_begun(commanded, _COMMANDED_RAD) for commanded in desired.T) < _FEWEST_MOVING:
+    if (
+        not 2 <= joints <= 4
+        or (np.ptp(desired, axis=0) < 2 * _COMMANDED_RAD).any()
+        or min(_begun(commanded, _COMMANDED_RAD) for commanded in desired.T) < _FEWEST_MOVING
+    ):
         return None
     apart = np.full((joints, joints), np.inf)
     for back in range(min(6, len(measured) - 1) + 1):
@@ -227,9 +231,7 @@ def _order_of(measured: Array, desired: Array) -> tuple[int, ...] | None:
     own = tuple(range(joints))
     best = min(itertools.permutations(own), key=far)
     # Readings that follow another joint's command: so much nearer than their own, and this near.
-    if best == own or far(best) > min(0.2, 0.35 * far(own)):
-        return None
-    return best
+    return best if best != own and far(best) <= min(0.2, 0.35 * far(own)) else None
 
 
 def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[Fault]:

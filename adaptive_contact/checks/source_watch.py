@@ -17,7 +17,6 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptive_contact.checks.information import NEEDED_SAMPLES, InformationCheck, Kind
 from adaptive_contact.checks.limits import SAID, Limits, find_limits
@@ -101,6 +100,12 @@ class SourceWatch:
         leg = self._place.leg
         return int(leg.began_ns) if leg.cause == PHASE else self._since_ns
 
+    @property
+    def off_rate_since_ns(self) -> int:
+        """Scheduled time of the oldest tick by which the rate is judged."""
+        leg, ring = self._place.leg, self._place.batch.ring[self._place.row]
+        return int(ring[(leg.ring_n - min(leg.rate_ticks, leg.ring_n, RING)) % RING, 2])
+
     def look(self, flags: int, *, predicted: bool | None) -> bool:
         """Look at the readings as a swing begins or ends.
 
@@ -166,8 +171,10 @@ class SourceWatch:
             return None
         kind, joints = (None, ()) if found is None else (found.kind, found.joints)
         names = ", ".join(self._leg.joints[joint] for joint in joints)
-        said = _SAID[kind].format(names=names, twin=self._twin)
-        return f"{said}; no contacts are reported until then"
+        return (
+            f"{_SAID[kind].format(names=names, twin=self._twin)}; no contacts are reported until "
+            "then"
+        )
 
     def _find_twin(self, samples: LegMotion) -> LegMotion | None:
         """Return the samples of a leg of the batch that sends the same readings while it moves."""
@@ -198,13 +205,7 @@ class RateWatch:
         self._place = place
         self.own = new_legs(1)
         self.own["period_ns"] = period_ns
-        self._own_ring = np.zeros((1, RING, 3), dtype=np.int64)
-
-    @property
-    def since_ns(self) -> int:
-        """Scheduled time of the oldest tick by which the rate is judged."""
-        count = self.leg.ring_n
-        return int(self._ring[(count - min(int(self.leg.rate_ticks), count, RING)) % RING, 2])
+        self._ring = np.zeros((1, RING, 3), dtype=np.int64)
 
     @property
     def burst(self) -> int:
@@ -214,8 +215,7 @@ class RateWatch:
     @property
     def jitter(self) -> float:
         """Root mean square of recent deviations from the schedule, periods."""
-        leg = self.leg
-        return math.sqrt(max(leg.jitter_square - leg.jitter_mean**2, 0.0))
+        return math.sqrt(max(self.leg.jitter_square - self.leg.jitter_mean**2, 0.0))
 
     @property
     def note(self) -> str | None:
@@ -246,19 +246,13 @@ class RateWatch:
             to be late by its time; None where the source has paused: what came before does not
             connect.
         """
-        own, ring = self.own, self._own_ring
-        missed = follow_one(own, ring, t_ns, seq, restart)
+        missed = follow_one(self.own, self._ring, t_ns, seq, restart)
         return None if missed == PAUSE else int(missed)
 
     @property
     def leg(self) -> Any:
         """The leg's scalars, by the names of :data:`~adaptive_contact.core.detect.layout.LEG`."""
         return scalars_of(self.own, 0) if self._place is None else self._place.leg
-
-    @property
-    def _ring(self) -> NDArray[np.int64]:
-        ring: NDArray[np.int64] = self._own_ring[0]
-        return ring if self._place is None else np.asarray(self._place.batch.ring[self._place.row])
 
 
 class Seams:

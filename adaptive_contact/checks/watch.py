@@ -149,8 +149,8 @@ class Watch(Generic[FindingT]):
 
 def judge_angles(robot: Robot, motions: Mapping[str, LegMotion]) -> Findings:
     """Find legs whose angles are counted otherwise than described; None for those that fit."""
-    unknown = [leg.id for leg in robot.legs if leg.chain is None]
-    return {**dict.fromkeys(unknown), **judge_motion(robot, motions)}
+    unknown: Findings = {leg.id: None for leg in robot.legs if leg.chain is None}
+    return unknown | judge_motion(robot, motions)
 
 
 def watch_angles(robot: Robot, refitter: Refitter | None = None) -> Watch[ConventionFinding]:

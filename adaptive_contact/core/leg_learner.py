@@ -477,7 +477,7 @@ class ContactLearner:
             if adapter is not None and self.report.source.cause is None:
                 adapter.keep(self.place.leg.at_ns)
         if flags & RATE_OFF and adapter is not None:
-            adapter.distrust(self.report.rate.since_ns)
+            adapter.distrust(self.report.source.off_rate_since_ns)
         if flags & SOURCE and self.report.source.cause is not None:
             self._retract()
 
