@@ -105,7 +105,9 @@ def _causes(names: Iterable[str]) -> frozenset[Cause]:
 
 
 # Causes that a cause explains, in the same leg; one of the whole robot explains them in every leg.
-EXPLAINS: Final = {cast(Cause, cause): _causes(of) for cause, of in said()["explains"].items()}
+EXPLAINS: Final = {
+    cast(Cause, cause): _causes(of) - {cause} for cause, of in said()["explains"].items()
+}
 # Reasons for which the service refuses samples of a leg with such a fault.
 REFUSED_FOR: Final[dict[str, frozenset[Reject]]] = {
     cause: frozenset(map(Reject, of)) for cause, of in said()["refused_for"].items()
@@ -184,16 +186,13 @@ def entries(faults: Iterable[tuple[str | None, Fault]]) -> list[Finding]:
     for leg, fault in faults:
         together.setdefault((fault.cause, fault.key), []).append((leg, fault))
     groups = [_weighed(group) for group in together.values()]
-    causes: defaultdict[str | None, set[Cause]] = defaultdict(set)
+    known: defaultdict[str | None, set[Cause]] = defaultdict(set)
     for leg, fault in itertools.chain(*groups):
-        if fault.level != "note":
-            causes[leg].add(fault.cause)
-
-    def explained(leg: str | None, fault: Fault) -> bool:
-        others = (causes[None] | causes[leg]) - {fault.cause}
-        return any(fault.cause in EXPLAINS.get(cause, ()) for cause in others)
-
-    left = ([of for of in group if not explained(*of)] for group in groups)
+        known[leg] |= explained(fault)
+    left = (
+        [(leg, fault) for leg, fault in group if fault.cause not in known[None] | known[leg]]
+        for group in groups
+    )
     made = [_entry(group) for group in left if group]
     # The whole robot first, then what most legs have: a wrong description shows in single legs.
     return sorted(

@@ -32,6 +32,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
 from adaptive_contact.arrays import Array, Ints, Mask, scipy
+from adaptive_contact.checks.motion import LegMotion
 
 # Ticks from a command to its copy, and low-passes by the share of their past that they keep.
 LAGS: Final = 13
@@ -107,21 +108,6 @@ EQUAL_STAYS: Final = 5
 Kind = Literal["copy", "held", "old", "twin"]
 
 
-class Samples(NamedTuple):
-    """Holds n samples in a row, the newest last."""
-
-    seq: Ints  # (n,)
-    measured: Array  # (n, J) rad
-    desired: Array  # (n, J) rad
-    swings: Mask | None = None  # (n,) whether the leg is in a swing; None where that is not known
-
-    def part(self, first: int, last: int | None = None) -> Samples:
-        """Return some of them."""
-        at = slice(first, last)
-        swings = None if self.swings is None else self.swings[at]
-        return Samples(self.seq[at], self.measured[at], self.desired[at], swings)
-
-
 class Finding(NamedTuple):
     """Holds what is wrong with a leg's readings."""
 
@@ -171,11 +157,11 @@ class InformationCheck:
     def look(
         self,
         count: int,
-        samples: Samples,
+        samples: LegMotion,
         *,
         begins: bool,
         predicted: bool | None = None,
-        twin: Samples | None = None,
+        twin: LegMotion | None = None,
     ) -> bool:
         """Judge the last two strides.
 
@@ -197,15 +183,15 @@ class InformationCheck:
             return False
         self.suspected, self.suspicion = False, None
         finding, decided = self._judge(samples, ticks, predicted=predicted, twin=twin)
-        if decided:
-            unclear = self.suspected and finding is None and self.found is None
-            self._unclear = min(self._unclear + 1, UNCLEAR_LOOKS) if unclear else self._unclear - 1
-            self._unclear = max(self._unclear, 0)
-            # One less where the leg has never shown itself.
-            most = UNCLEAR_LOOKS - (self._shown < SHOWN_LOOKS)
-            self.unproved = self._unclear >= (1 if self.unproved else most)
-        if not decided or (finding is None) == (self.found is None):
-            self._agreed = 0 if decided and not unclear else self._agreed
+        if not decided:
+            return False
+        unclear = self.suspected and finding is None and self.found is None
+        self._unclear = min(max(self._unclear + (1 if unclear else -1), 0), UNCLEAR_LOOKS)
+        # One less where the leg has never shown itself.
+        most = UNCLEAR_LOOKS - (self._shown < SHOWN_LOOKS)
+        self.unproved = self._unclear >= (1 if self.unproved else most)
+        if (finding is None) == (self.found is None):
+            self._agreed = self._agreed if unclear else 0
             return False
         self._agreed += 1
         # Looks in a row, two a stride, that find a fault, or none, before it counts.
@@ -224,31 +210,29 @@ class InformationCheck:
         return min(two, max(ENOUGH_TICKS, one), MOST_TICKS)
 
     def _judge(
-        self, samples: Samples, ticks: int, *, predicted: bool | None, twin: Samples | None
+        self, samples: LegMotion, ticks: int, *, predicted: bool | None, twin: LegMotion | None
     ) -> tuple[Finding | None, bool]:
         """Judge so many ticks: what is wrong, and whether they show anything."""
         steps = steps_of(samples.measured[-MOST_TICKS:], self._step_rad)
-        newest = samples.part(-ticks)
+        newest = samples.part(np.s_[-ticks:])
         held = np.flatnonzero(held_shares(newest, steps) > HELD_SHARE)
         if len(held):
             return Finding("held", tuple(held.tolist()), 2 * ticks), True
         off = departure(samples, ticks, steps)
         if off is None:
             return None, False
-        kind = None if self.found is None else self.found.kind
-        before = self.found.joints if self.found is not None and kind == "copy" else ()
+        before = self.copies
         copies = np.flatnonzero(off.rms < (COPY_STAYS if before else COPY_STEPS))
         self.suspected = bool(len(copies))
         still, self.open_joints = before or self.open_joints, tuple(copies.tolist())
         # Free motion is a function of the commands: where the leg's model predicts it, or nothing
         # was in evidence that the leg had to carry, these may be its own.
         enough = max(ticks, ENOUGH_TICKS)
-        light = open_ = False
-        if self.found is None:
-            light = predicted is not False and not carries(samples.part(-enough), steps)
-            open_ = light or bool(predicted)
+        new = self.found is None
+        light = new and predicted is not False and not carries(samples.part(np.s_[-enough:]), steps)
+        open_ = light or (new and bool(predicted))
         if len(copies) and not open_:
-            return Finding("copy", tuple(copies.tolist()), off.since(samples, copies)), True
+            return Finding("copy", tuple(copies.tolist()), off.since(samples, copies, steps)), True
         if still and np.isnan(off.rms[list(still)]).all():
             self.open_joints = still
             return self.found, False  # joints that hardly move clear nothing
@@ -266,7 +250,7 @@ class InformationCheck:
         # leave.
         if own is not None and own.rest < 0.5 * off.rest:
             return Finding("twin", tuple(range(len(steps))), 2 * ticks), True
-        was = kind == "old"
+        was = self.found is not None and self.found.kind == "old"
         if (was or off.rest > OLD_LOOK) and is_old(samples, enough, was=was):
             found = None if light else Finding("old", tuple(range(len(steps))), 2 * ticks)
             return found, not light
@@ -286,17 +270,17 @@ class InformationCheck:
         return bool(white)
 
 
-def carries(samples: Samples, steps: Array) -> bool:
+def carries(samples: LegMotion, steps: Array) -> bool:
     """Whether a leg that walks had to carry: a quarter and more of its stance moved."""
-    if samples.swings is None:
+    if samples.swing is None:
         return True
     moves = (np.abs(np.diff(samples.desired, axis=0)) > MOVING * steps).any(axis=1)
-    stance = ~samples.swings[1:]
+    stance = ~samples.swing[1:]
     return bool(4 * (moves & stance).sum() >= max(stance.sum(), 1))
 
 
 def equal_to_commands(
-    samples: Samples, ticks: int, step_rad: float, run: int = EQUAL_RUN
+    samples: LegMotion, ticks: int, step_rad: float, run: int = EQUAL_RUN
 ) -> tuple[tuple[int, ...], int]:
     """Find joints whose newest readings are commands that their encoder could not have read.
 
@@ -311,17 +295,13 @@ def equal_to_commands(
     """
     read, told = samples.measured[-ticks:].T.copy(), samples.desired
     equal = np.abs(read[:, None] - _lagged(told)[:, :, -ticks:]) < EQUAL_RAD  # (J, lags, ticks)
-    if np.count_nonzero(equal) < min(EQUAL_TICKS, 2 * run):
-        return (), ticks
     moved = np.abs(np.diff(told, axis=0, prepend=told[:1])).T
     ends = len(told) - np.arange(LAGS)
     copies = np.zeros(read.shape, dtype=np.bool_)
-    counts = equal.sum(axis=2)
-    if counts.max() >= EQUAL_TICKS:
-        off = off_grid(read, np.asarray(~equal.any(axis=1)), step_rad)
-        for lag in np.flatnonzero((counts >= EQUAL_TICKS).any(axis=0)) if off.any() else ():
-            same = equal[:, lag] & off & (moved[:, ends[lag] - ticks : ends[lag]] > 0.0)
-            copies |= same & (same.sum(axis=1, keepdims=True) >= EQUAL_TICKS)
+    off = off_grid(read, np.asarray(~equal.any(axis=1)), step_rad)
+    for lag in np.flatnonzero((equal.sum(axis=2) >= EQUAL_TICKS).any(axis=0)):
+        same = equal[:, lag] & off & (moved[:, ends[lag] - ticks : ends[lag]] > 0.0)
+        copies |= same & (same.sum(axis=1, keepdims=True) >= EQUAL_TICKS)
     for lag in np.flatnonzero((equal.sum(axis=0) > 1).sum(axis=1) >= run):
         moving = moved[:, ends[lag] - ticks : ends[lag]] > 0.5 * step_rad
         whole = (equal[:, lag] | ~moving).all(axis=0) & (moving.sum(axis=0) > 1)
@@ -356,11 +336,8 @@ def off_grid(read: Array, sure: Mask, step_rad: float) -> Mask:
 
 def in_runs(of: Mask, least: int) -> Mask:
     """Select the ticks of an (n,) mask that are in a row of so many and more."""
-    edges = np.flatnonzero(np.diff(of, prepend=False, append=False))
-    found = np.zeros(len(of), dtype=np.bool_)
-    for begin, end in edges.reshape(-1, 2):
-        found[begin:end] = end - begin >= least
-    return found
+    begins = np.convolve(of, np.ones(least), "valid") == least
+    return np.asarray(np.convolve(begins, np.ones(least)) > 0.0)
 
 
 class Departure(NamedTuple):
@@ -371,20 +348,19 @@ class Departure(NamedTuple):
     rest: float  # share of the readings' variance that is no function of the commands
     coefficients: Array  # (J, p)
     constants: Array  # (J,) rad
-    steps: Array  # (J,) rad
 
-    def since(self, samples: Samples, joints: Ints) -> int:
+    def since(self, samples: LegMotion, joints: Ints, steps: Array) -> int:
         """Count the samples up to the newest of which the same function holds for joints."""
         off = samples.measured - self.constants
         off -= np.einsum("jtp,jp->tj", basis(samples.desired), self.coefficients)
         # Steps by which a tick before may be off and belong to the fault.
-        beyond = np.flatnonzero((np.abs(off) > 2.0 * self.steps)[:, joints].any(axis=1))
+        beyond = np.flatnonzero((np.abs(off) > 2.0 * steps)[:, joints].any(axis=1))
         # A single reading that a bus has spoilt is no beginning.
         beyond = beyond[1:][np.diff(beyond) <= 2]
         return len(off) - (int(beyond[-1]) + 1 if len(beyond) else 0)
 
 
-def departure(samples: Samples, ticks: int, steps: Array) -> Departure | None:
+def departure(samples: LegMotion, ticks: int, steps: Array) -> Departure | None:
     """Compute how far the readings of the last ticks are off any function of the commands.
 
     Args:
@@ -406,42 +382,35 @@ def departure(samples: Samples, ticks: int, steps: Array) -> Departure | None:
     # numpy is three times as fast along rows.
     y, told = samples.measured[first:][use].T.copy(), desired.T.copy()
     speeds = (np.diff(told, prepend=told[:, :1]) / steps[:, None])[:, use]
-    fitted = _fit(basis(desired)[:, use], y)
-    off, worst = fitted.off, fitted.worst
+    coefficients, constants, off, worst, about_mean = _fit(basis(desired)[:, use], y)
     square = (off * off).sum(axis=1)
     moving = np.abs(speeds) > MOVING
     # Few ticks that move are what the coefficients were fitted to.
     moves = moving.sum(axis=1)
     moves_out = moving[np.arange(len(worst))[:, None], worst].sum(axis=1)
-    free = np.maximum(moves - moves_out - fitted.coefficients.shape[1] - 1, 1.0)
+    free = np.maximum(moves - moves_out - coefficients.shape[1] - 1, 1.0)
     rms = np.sqrt((off * off * moving).sum(axis=1) / free) / steps
     told_rad = np.ptp(told[:, use], axis=1)
     still = np.ptp(y, axis=1) < LEAST_SHARE * told_rad
     steady = speeds.std(axis=1) < LEAST_SPREAD
     rms[(moves < LEAST_MOVING) | steady | still] = np.nan
     travels = told_rad > LEAST_TRAVEL_RAD
-    rest = square / np.maximum(fitted.square, 1e-12)
+    rest = square / np.maximum(about_mean, 1e-12)
     share = float(rest[travels].mean()) if travels.any() else 0.0
     lasting = (off[:, 1:] * off[:, :-1]).sum(axis=1) / np.maximum(square, 1e-12)
-    return Departure(rms, lasting, share, fitted.coefficients, fitted.constants, steps)
+    return Departure(rms, lasting, share, coefficients, constants)
 
 
-class _Fitted(NamedTuple):
-    """Holds a fit of n readings by p columns and a constant, without the readings furthest off."""
-
-    coefficients: Array  # (J, p)
-    constants: Array  # (J,) rad
-    off: Array  # (J, n) rad, what is left; 0 of those left out
-    worst: Ints  # (J, SPOILT) those left out
-    square: Array  # (J,) rad², sum of squares of the others about their mean
-
-
-def _fit(x: Array, y: Array) -> _Fitted:
-    """Fit (J, n) readings by (J, n, p) columns, which are centred in place.
+def _fit(x: Array, y: Array) -> tuple[Array, Array, Array, Ints, Array]:
+    """Fit (J, n) readings by (J, n, p) columns, which are centred in place, and a constant.
 
     Without the readings that are furthest off, the normal equations about the means of the others
     are those of all less what these add: with sums s of m centred rows that are left out, of n, the
     means move by -s / (n - m), and the products fall by theirs and by n - m times the move's.
+
+    Returns:
+        (J, p) coefficients; (J,) constants, rad; (J, n) rad, what is left, 0 of those left out;
+        (J, SPOILT) those left out; (J,) rad², sum of squares of the others about their mean.
     """
     each_tick = np.full(y.shape[1], 1.0 / y.shape[1])
     means, level = each_tick @ x, y @ each_tick
@@ -462,7 +431,7 @@ def _fit(x: Array, y: Array) -> _Fitted:
     off = z - (x @ coefficients[:, :, None])[:, :, 0] - above[:, None]
     off[each, worst] = 0.0
     square = (z * z).sum(axis=1) - (z_out * z_out).sum(axis=1) - count * rise**2
-    return _Fitted(coefficients, constants, off, worst, square)
+    return coefficients, constants, off, worst, square
 
 
 def _solved(gram: Array, to: Array) -> Array:
@@ -496,7 +465,7 @@ def low_pass(commands: Array, poles: Sequence[float]) -> Array:
     return np.asarray(np.stack(passed) + commands[0])
 
 
-def held_shares(samples: Samples, steps: Array) -> Array:
+def held_shares(samples: LegMotion, steps: Array) -> Array:
     """Compute the shares of ticks, of those in which a joint moves, that read as the one before.
 
     Args:
@@ -507,8 +476,6 @@ def held_shares(samples: Samples, steps: Array) -> Array:
         (J,), 0 where there are too few such ticks.
     """
     y, u, seq, around = samples.measured, samples.desired, samples.seq, HELD_AROUND
-    if len(y) <= 2 * around:
-        return np.zeros(len(steps))
     moves = np.abs(y[2 * around :] - y[: -2 * around]) > 2 * around * steps
     moves &= (seq[2 * around :] - seq[: -2 * around] == 2 * around)[:, None]
     before, now = slice(around - 1, -around - 1), slice(around, -around)
@@ -518,7 +485,7 @@ def held_shares(samples: Samples, steps: Array) -> Array:
     return np.where(count >= LEAST_MOVING, held / np.maximum(count, 1), 0.0)
 
 
-def is_old(samples: Samples, ticks: int, *, was: bool = False) -> bool:
+def is_old(samples: LegMotion, ticks: int, *, was: bool = False) -> bool:
     """Whether earlier commands explain the readings that recent ones do not.
 
     Args:
@@ -568,7 +535,7 @@ class Survey(NamedTuple):
     old: bool
 
 
-def survey(samples: Samples, step_rad: float) -> Survey:
+def survey(samples: LegMotion, step_rad: float) -> Survey:
     """Look at a whole recording as the tick does.
 
     Args:
@@ -576,17 +543,16 @@ def survey(samples: Samples, step_rad: float) -> Survey:
             and where none is, a leg for one that carries nothing.
         step_rad: of the encoder.
     """
-    swings, n = samples.swings, len(samples.seq)
+    swings, n = samples.swing, len(samples.seq)
     check, seen, old = InformationCheck(samples.measured.shape[1], step_rad), set[int](), False
     turns = () if swings is None else np.flatnonzero(np.diff(swings.astype(np.int8))).tolist()
     looks = {at + 2: bool(swings[at + 1]) for at in turns} if swings is not None else {}
     if len(turns) < LEAST_TURNS:
         every = ENOUGH_TICKS // 2
         looks = dict.fromkeys(range(n % every or every, n + 1, every), True)
-    light = None if turns else True
     for count, begins in looks.items():
-        newest = samples.part(max(count - NEEDED_SAMPLES, 0), count)
-        check.look(count, newest, begins=begins, predicted=light)
+        newest = samples.part(np.s_[max(count - NEEDED_SAMPLES, 0) : count])
+        check.look(count, newest, begins=begins, predicted=None if turns else True)
         old |= check.found is not None and check.found.kind == "old"
         seen |= set(check.copies)
     seen |= set(check.open_joints if check.unproved else ())

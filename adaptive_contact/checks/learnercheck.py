@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import Final
 
-from adaptive_contact.checks.findings import REFUSED_FOR, Cause, Fault, Level
+from adaptive_contact.checks.findings import REFUSED_FOR, Cause, Fault
 from adaptive_contact.notes import SWAPPED, speaks_of_angles
 from adaptive_contact.status import ServiceStatus
 from adaptive_contact.wire import LearnerStatus
@@ -43,8 +43,9 @@ def about_learner(
     if refused:
         listed = ", ".join(f"{reason} {times}" for reason, times in sorted(refused.items()))
         grown = sum(times - before.rejects.get(reason, 0) for reason, times in refused.items())
-        how: Level = "warning" if grown else "note"
-        yield Fault.of("refused", listed, grown, level=how, total=samples)
+        yield Fault.of(
+            "refused", listed, grown, level="warning" if grown else "note", total=samples
+        )
     stale = "held" if "held" in note else "twins" if "of leg" in note else "old"
     doubts = {
         "echo": Fault.of("echo", note, key="some"),
@@ -57,8 +58,8 @@ def about_learner(
         yield Fault.of("leg_swap", note)
     elif speaks_of_angles(note):
         # A wrong yaw or a small zero changes no height, and the leg works on.
-        level: Level = "error" if status.status == "ambiguous" else "warning"
-        yield Fault.of("signs-service", note, level=level)
+        works_on = status.status != "ambiguous"
+        yield Fault.of("signs-service", note, level="warning" if works_on else "error")
     elif status.status == "learning":
         cold = service is not None and service.baseline is None
         yield Fault.of("learning-cold" if cold else "learning", status.note)

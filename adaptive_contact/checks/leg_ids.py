@@ -25,7 +25,7 @@ import numpy as np
 
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.checks.conventions.feet import LOOSE, Feet, Walker
-from adaptive_contact.checks.conventions.motion import LegMotion, control_ticks
+from adaptive_contact.checks.motion import LegMotion, control_ticks
 from adaptive_contact.checks.watch import Watch
 from adaptive_contact.core.detect.layout import KEPT
 from adaptive_contact.fit.refit_job import Refitter
@@ -66,12 +66,12 @@ class Owner(NamedTuple):
 
 def judge_fit(
     robot: Robot, baseline: Baseline, motions: Mapping[str, LegMotion]
-) -> dict[str, Owner]:
+) -> dict[str, Owner | None]:
     """Compare every leg's residuals under its own and the others' baselines.
 
     Returns:
         By the name of the samples, the leg that they are of, where the models distinguish legs;
-        the same name where the models show that it is right.
+        None where the models show that the name is right.
     """
     ticks = control_ticks(motions, robot.period_s)
     errors = {
@@ -99,22 +99,15 @@ def judge_fit(
         for leg, under in errors.items()
         for owner in [owners[leg].leg if leg in owners else leg]
     )
-    if not at_home:
-        return {}
-    right = {leg: Owner(leg, "") for leg, under in errors.items() if under and leg not in owners}
-    return {**right, **owners}
+    return {leg: owners.get(leg) for leg, under in errors.items() if under and at_home}
 
 
 def _circles(owners: Mapping[str, Owner]) -> dict[str, Owner]:
     """Return the owners that form closed circles: every leg's samples are somewhere."""
-    left = dict(owners)
-    while True:
-        named = {owner.leg for owner in left.values()}
-        open_ones = [leg for leg in left if left[leg].leg not in left or leg not in named]
-        if not open_ones:
-            return left
-        for leg in open_ones:
-            del left[leg]
+    left = set(owners)
+    for _ in owners:
+        left = {owners[leg].leg for leg in left} & owners.keys()
+    return {leg: owner for leg, owner in owners.items() if leg in left}
 
 
 def _errors(
@@ -122,9 +115,7 @@ def _errors(
 ) -> dict[str, float]:
     """Return the rms of a leg's free residuals, rad, under every model of its library."""
     own = baseline.legs[leg].model
-    swing = motion.swing
-    if swing is None:
-        swing = infer_phase(motion.desired, robot.leg(leg))
+    swing = infer_phase(motion.desired, robot.leg(leg)) if motion.swing is None else motion.swing
     if swing is None:
         return {}
     free, sound = cautious(swing), np.ones(len(swing), dtype=bool)
@@ -160,7 +151,7 @@ def judge_ids(
         By the name that samples come under: the leg that they are of.
     """
     known = {} if baseline is None else judge_fit(robot, baseline, motions)
-    fitted = {leg: owner for leg, owner in known.items() if owner.leg != leg}
+    fitted = {leg: owner for leg, owner in known.items() if owner is not None}
     legs = [leg for leg in robot.legs if leg.id in motions]
     if (
         not 3 <= len(legs) <= 6
@@ -192,7 +183,7 @@ def judge_ids(
     orders.sort(key=lambda order: sum(i != k for i, k in enumerate(order)))
     order = orders[0]
     moved = [i for i in own if order[i] != i]
-    if any(known.get(ids[i], Owner("", "")).leg == ids[i] for i in moved):
+    if any(ids[i] in known and known[ids[i]] is None for i in moved):
         return {}
     mirrored = feet.rigid([len(own) if i in moved else i for i in own])
     placed = {}
@@ -241,5 +232,4 @@ def _found_ids(
 
 def watch_ids(robot: Robot, baseline: Baseline | None, refitter: Refitter) -> Watch[Owner]:
     """Make the watch of whose samples come under each leg's name."""
-    judge = functools.partial(_found_ids, robot, baseline)
-    return Watch(robot, refitter, "*ids", TIMES_S, judge)
+    return Watch(robot, refitter, "*ids", TIMES_S, functools.partial(_found_ids, robot, baseline))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise, permutations
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -78,8 +78,8 @@ def check_leg(
     if len(usable) >= _FEWEST:
         known = facts if facts is not None and len(facts.joints) == joints else None
         names = [f"joint {i + 1}" for i in range(joints)] if known is None else known.joints
-        named = {fault.cause for fault in found}
-        if facts is None and not named & {"time_unit", "seq", "time_backwards"}:
+        causes = {"time_unit", "seq", "time_backwards"}
+        if facts is None and causes.isdisjoint(fault.cause for fault in found):
             found += _undeclared(samples, usable)
         elif known is not None and known.described and known.quantum_rad is None:
             step_rad = max(_grids(usable), default=0.0)
@@ -137,13 +137,14 @@ def check_twins(samples: Mapping[str, Sequence[ServoSample]]) -> Iterator[tuple[
         }
         for leg, rows in samples.items()
     }
-    found: dict[str, set[str]] = {}
-    for one, other in permutations(moving, 2):
-        mine, theirs = moving[one], moving[other]
-        if len(mine & theirs) >= max(_FEWEST, 0.8 * min(len(mine), len(theirs))):
-            found.setdefault(one, {one}).add(other)
-    for leg, alike in found.items():
-        yield leg, Fault.of("twins", key=" ".join(sorted(alike)))
+    for leg, mine in moving.items():
+        alike = [
+            other
+            for other, theirs in moving.items()
+            if len(mine & theirs) >= max(_FEWEST, 0.8 * min(len(mine), len(theirs)))
+        ]
+        if len(alike) > 1:  # more than itself
+            yield leg, Fault.of("twins", key=" ".join(sorted(alike)))
 
 
 def check_ids(published: Sequence[str], described: Sequence[str], robot: str) -> Iterator[Fault]:
@@ -178,30 +179,27 @@ def _shape(samples: Sequence[ServoSample], joints: int, facts: LegFacts | None) 
     if facts is not None and not facts.described:
         yield Fault.of("undescribed")
     elif facts is not None and joints != len(facts.joints):
-        names = ", ".join(facts.joints)
-        yield Fault.of("joints", joints=joints, count=len(facts.joints), names=names)
+        yield Fault.of(
+            "joints", joints=joints, count=len(facts.joints), names=", ".join(facts.joints)
+        )
     odd = sum(len(s.measured) != joints or len(s.desired) != joints for s in samples)
     if odd:
-        count = f"{odd} of {len(samples)}"
-        yield Fault.of("joints-odd", count, odd, "odd", total=len(samples))
+        yield Fault.of("joints-odd", f"{odd} of {len(samples)}", odd, "odd", total=len(samples))
     if facts is not None and not facts.lengths and all(s.phase is None for s in samples):
         yield Fault.of("phase")
     yield from _phases(samples)
-    invalid = sum(s.valid is not None and not all(s.valid) for s in samples)
-    if invalid > 0.05 * len(samples):
-        share = invalid / len(samples)
+    share = sum(s.valid is not None and not all(s.valid) for s in samples) / len(samples)
+    if share > 0.05:
         yield Fault.of("invalid", f"{share:.0%} of them", share)
 
 
 def _phases(samples: Sequence[ServoSample]) -> Iterator[Fault]:
     """Yield a fault where ``phase`` never changes although the leg must have swung or stood."""
-    phases = {s.phase for s in samples}
     # No swing takes so many samples in a row: two seconds at 50 Hz.
-    if len(samples) < 100 or len(phases) != 1 or None in phases:
-        return
+    phases = {s.phase for s in samples} if len(samples) >= 100 else ()
     if phases == {"swing"}:
         yield Fault.of("phase-swing", f"{len(samples)} samples", key="swing")
-    elif _goes_to_and_fro(samples):
+    elif phases == {"stance"} and _goes_to_and_fro(samples):
         yield Fault.of("phase-stance", f"{len(samples)} samples", key="stance")
 
 
@@ -238,8 +236,9 @@ def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[F
     usual = _usual_step(pairs)
     lost = sum(max(0, round((b.seq - a.seq) / usual) - 1) for a, b in pairs)
     if backwards:
-        count = f"in {backwards} of {total} samples"
-        yield Fault.of("time_backwards", count, backwards, total=total)
+        yield Fault.of(
+            "time_backwards", f"in {backwards} of {total} samples", backwards, total=total
+        )
     if repeated:
         yield Fault.of("seq", f"{repeated} of {total}", repeated, total=total)
     if usual > 1:

@@ -112,8 +112,6 @@ def find_limits(
     Returns:
         ``known`` where nothing is new.
     """
-    if not len(measured):
-        return known
     stop_rad = max(STOP_RAD, STOP_STEPS * step_rad)
     found = Limits(known.lower.copy(), known.upper.copy())
     reads, asked = measured.T.copy(), desired.T.copy()  # numpy is ten times as fast along rows
@@ -129,7 +127,9 @@ def find_limits(
                 continue
             if np.sum(side * y > at + max(PASSED_RAD, stop_rad)) >= PASSED:
                 at = np.inf
-            elif _holds(side * y, side * u, limit, stop_rad):
+            elif _settled(side * u, limit + stop_rad).any() and (
+                np.sum(side * y > limit + stop_rad) <= SPOILT
+            ):  # it has come to a described limit and not beyond, though it should have
                 at = min(at, limit)
             at = min(at, _stop(chain, j, side * y, side * u, stop_rad, measured))
             of[j] = side * at
@@ -139,13 +139,6 @@ def find_limits(
 def _settled(u: Array, beyond: float) -> Mask:
     """Whether commands have been beyond for so long that a servo has come to its stop."""
     return np.asarray(np.convolve(u > beyond, np.ones(SETTLED))[: len(u)] == SETTLED)
-
-
-def _holds(y: Array, u: Array, at: float, stop_rad: float) -> bool:
-    """Whether a joint has come to a described limit and not beyond, though it should have."""
-    if u.max() <= at + stop_rad:
-        return False
-    return bool(_settled(u, at + stop_rad).any() and np.sum(y > at + stop_rad) <= SPOILT)
 
 
 def _stop(

@@ -8,6 +8,7 @@ joint moved, and where the foot went by the description.
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Mapping
 from typing import Final
@@ -17,9 +18,9 @@ import numpy as np
 
 from adaptive_contact.arrays import Array
 from adaptive_contact.checks.conventions.judge import judge_motion
-from adaptive_contact.checks.conventions.motion import LegMotion
-from adaptive_contact.checks.findings import Fault, Finding, Level, entries
+from adaptive_contact.checks.findings import Fault, Finding, entries
 from adaptive_contact.checks.legcheck import check_ids, check_leg
+from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.core.detect.stream import fault_of
 from adaptive_contact.robot import AngleFrame, Angles, Leg, Mount, Robot, axis_text
 from adaptive_contact.status import LegFacts
@@ -46,9 +47,7 @@ class JointView(msgspec.Struct, frozen=True, kw_only=True):
     low_rad: float
     high_rad: float
     limits_rad: tuple[float, float] | None  # of robot.toml
-    # direction, offset_rad: of `[leg.angles]`, or of `[leg.servos]`, which the bridge has applied
-    direction: int
-    offset_rad: float
+    direction: int  # of `[leg.angles]`, or of `[leg.servos]`, which the bridge has applied
     wire_rad: float  # the newest reading as the source sends it
 
     @property
@@ -62,7 +61,6 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
     """Describes one leg as it is now."""
 
     leg: str
-    samples: int  # taken in so far
     rate_hz: float | None  # by the source's stamps; None for too few
     joints: list[JointView]
     # height_m, reach_m: of the foot over the first axis, and away from it; None without lengths
@@ -116,18 +114,16 @@ class LiveCheck:
 
     def take(self, received: Received) -> None:
         """Process one message; all but samples are ignored."""
-        leg_id = leg_of_key(received.key)
-        if leg_id is None or not received.key.endswith("/servo"):
-            return
-        leg = self._legs.get(leg_id)
-        if leg is None:
-            self._strangers.add(leg_id)
+        leg = leg_of_key(received.key)
+        if leg is None or not received.key.endswith("/servo"):
             return
         sample = decode(received.payload, ServoSample, received.encoding)
-        if isinstance(sample, Rejected):
-            leg.refused.append(sample)
-            return
-        self.take_sample(leg_id, sample)
+        if leg not in self._legs:
+            self._strangers.add(leg)
+        elif isinstance(sample, Rejected):
+            self._legs[leg].refused.append(sample)
+        else:
+            self.take_sample(leg, sample)
 
     def take_sample(self, leg_id: str, sample: ServoSample) -> None:
         """Process a sample of a leg of the description."""
@@ -139,10 +135,6 @@ class LiveCheck:
         """Return every leg that sends samples, as it is now."""
         return [leg.view() for leg in self._legs.values() if leg.turned]
 
-    def angles(self) -> dict[str, list[float]]:
-        """Return each leg's newest reading, (J,) rad, by leg."""
-        return {name: leg.turned[-1].measured for name, leg in self._legs.items() if leg.turned}
-
     def report(self, seconds: float) -> LiveReport:
         """Judge what was taken in within ``seconds``."""
         motions = {
@@ -151,7 +143,6 @@ class LiveCheck:
             if len(leg.turned) > 1
         }
         verdict = judge_motion(self._robot, motions)
-        wrong = {finding.leg: finding for finding in verdict.findings}
         sending = [name for name, leg in self._legs.items() if leg.samples or leg.refused]
         published, known = sorted({*sending, *self._strangers}), self._robot.leg_ids
         faults: list[tuple[str | None, Fault]] = [
@@ -167,17 +158,18 @@ class LiveCheck:
                 facts=LegFacts.from_robot(self._robot, name),
             )
             faults += [(name, fault) for fault in of_leg]
-            if name in wrong:
-                level: Level = "error" if wrong[name].grave else "warning"
-                faults.append((name, Fault.of("signs", wrong[name].line(leg.leg), level=level)))
-        judged = {*wrong, *verdict.fits}
+            if wrong := verdict.get(name):
+                signs = Fault.of(
+                    "signs", wrong.line(leg.leg), level="error" if wrong.grave else "warning"
+                )
+                faults.append((name, signs))
         chains = {name: self._legs[name].leg.chain for name in motions}
         return LiveReport(
             seconds=seconds,
             legs=self.legs(),
             moves=self.moves,
-            confirmed=[name for name in self._robot.leg_ids if name in verdict.fits],
-            open=[name for name in self._robot.leg_ids if name in motions and name not in judged],
+            confirmed=[name for name, finding in verdict.items() if finding is None],
+            open=[name for name in motions if name not in verdict],
             by_hand=[leg for leg, chain in chains.items() if chain and not chain.is_straight],
             flatness=_flatness({leg.leg: leg.last for leg in self._legs.values() if leg.rests}),
             findings=entries(faults),
@@ -195,40 +187,37 @@ class _LegCheck:
         self._frame = AngleFrame(leg)
         told = leg.angles or leg.servos or Angles()
         self._signs = told.directions or (1,) * len(leg.joints)
-        self._offsets_rad = told.offsets_rad or (0.0,) * len(leg.joints)
-        self._count = 0
         # A leg rests when no joint has moved by two steps of an AX-12A for this long, s.
-        self._recent: deque[Array] = deque(maxlen=max(round(0.3 / robot.period_s), 2))
+        self._rest_ticks = max(round(0.3 / robot.period_s), 2)
         self._rested: Array | None = None
 
     def take(self, sample: ServoSample) -> str | None:
         """Process a sample; return what was moved, once it rests again."""
         self.samples.append(sample)
-        self._count += 1
         answered = sample.valid is None or all(sample.valid)
         if not answered or fault_of(sample, len(self.leg.joints)) is not None:
             return None
         self.turned.append(self._frame.sample(sample))
-        self._recent.append(np.array(self.turned[-1].measured))
         if not self.rests:
             return None
-        now = self.last
-        before, self._rested = self._rested, now
-        if before is None or np.abs(now - before).max() < 0.12:  # 7 degrees: no move by hand
-            # A joint at rest creeps: a move is measured from where the rest began.
-            self._rested = now if before is None else before
+        before, now = self._rested, self.last
+        # 7 degrees: no move by hand.  A joint at rest creeps: a move is measured from where the
+        # rest began.
+        if before is not None and np.abs(now - before).max() < 0.12:
             return None
-        return _moved(self.leg, before, now)
+        self._rested = now
+        return None if before is None else _moved(self.leg, before, now)
 
     @property
     def last(self) -> Array:
         """Return the newest reading, (J,) rad."""
-        return self._recent[-1]
+        return np.array(self.turned[-1].measured)
 
     @property
     def rests(self) -> bool:
-        full = len(self._recent) == self._recent.maxlen
-        return full and bool((np.ptp(np.array(self._recent), axis=0) < 0.011).all())
+        rows = itertools.islice(reversed(self.turned), self._rest_ticks)
+        recent = np.array([row.measured for row in rows])
+        return len(recent) == self._rest_ticks and bool((np.ptp(recent, axis=0) < 0.011).all())
 
     def view(self) -> LegView:
         newest, leg = self.turned[-1], self.leg
@@ -244,12 +233,11 @@ class _LegCheck:
                 high_rad=float(measured[:, j].max()),
                 limits_rad=None if limits is None else (limits.lower_rad[j], limits.upper_rad[j]),
                 direction=self._signs[j],
-                offset_rad=self._offsets_rad[j],
                 wire_rad=self._frame.wire(newest.measured)[j],
             )
             for j, name in enumerate(leg.joints)
         ]
-        view = LegView(leg=leg.id, samples=self._count, rate_hz=self._rate_hz(), joints=joints)
+        view = LegView(leg=leg.id, rate_hz=self._rate_hz(), joints=joints)
         if leg.chain is None:
             return view
         place = leg.chain.foot(newest.measured)

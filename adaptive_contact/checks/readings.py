@@ -14,8 +14,9 @@ import numpy as np
 
 from adaptive_contact.arrays import Array, Ints
 from adaptive_contact.checks.findings import Fault
-from adaptive_contact.checks.information import Samples, held_shares, survey
+from adaptive_contact.checks.information import held_shares, survey
 from adaptive_contact.checks.limits import Limits, find_limits
+from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.checks.position_step import STEP_TOLERANCE, position_step
 from adaptive_contact.core.detect.stream import MAX_RUN, MAX_TIME_NS, MIN_RUN
 from adaptive_contact.fit.recordings import stray_readings
@@ -59,10 +60,15 @@ def check_fields(samples: Sequence[ServoSample], joints: int) -> Iterator[Fault]
     for name, (expected, is_right) in _FIELDS.items():
         wrong = [s for s in samples if not is_right(s, joints)]
         if wrong:
-            count = f"{len(wrong)} of {len(samples)}"
-            total = len(samples)
+            count, total = len(wrong), len(samples)
             yield Fault.of(
-                "field", count, len(wrong), name, total=total, name=name, expected=expected
+                "field",
+                f"{count} of {total}",
+                count,
+                name,
+                total=total,
+                name=name,
+                expected=expected,
             )
 
 
@@ -80,18 +86,14 @@ def check_readings(
         quantum_rad: position step that they should have, None where it is unknown.
         limits_rad: lower and upper one of each joint, in the samples' angles, where they are known.
     """
-    measured = np.array([s.measured for s in samples], dtype=np.float64)
-    desired = np.array([s.desired for s in samples], dtype=np.float64)
-    finite = np.isfinite(np.hstack([measured, desired])).all(axis=1)
-    if not finite.all():
-        count = int((~finite).sum())
-        yield Fault.of("not_finite", f"{count} of {finite.size}", count, total=finite.size)
-    answered = np.array([s.valid is None or all(s.valid) for s in samples])
-    kept = finite & answered
-    seq = np.array([s.seq for s in samples])[kept]
-    measured, desired = measured[kept], desired[kept]
-    if len(measured) < 10:
+    finite = [s for s in samples if all(map(math.isfinite, (*s.measured, *s.desired)))]
+    spoilt, total = len(samples) - len(finite), len(samples)
+    if spoilt:
+        yield Fault.of("not_finite", f"{spoilt} of {total}", spoilt, total=total)
+    motion = LegMotion.of_samples([s for s in finite if s.valid is None or all(s.valid)])
+    if len(motion.seq) < 10:
         return
+    measured, desired = motion.measured, motion.desired
     whole = (measured == np.round(measured)).all() and np.ptp(measured) > 2.0
     measured, jumps = _without_turns(measured)
     desired, told_jumps = _without_turns(desired)
@@ -99,12 +101,11 @@ def check_readings(
     if units is not None:
         yield units
         return
-    phases = [s.phase for s, usable in zip(samples, kept, strict=True) if usable]
-    known = None if None in phases else np.array([phase == "swing" for phase in phases])
+    motion = motion._replace(measured=measured, desired=desired)
     near = np.median(np.abs(measured - desired), axis=0) <= _FAR_RAD
     grids = [position_step(read) or 0.0 for read in measured.T]
     step_rad = quantum_rad or max(grids) or ASSUMED_STEP_RAD
-    found = survey(Samples(seq, measured, desired, known), step_rad)
+    found = survey(motion, step_rad)
     for cause, joints in (("echo", found.copies), ("near_echo", found.unclear)):
         # A copy is near its command; a reading far from it has another fault.
         of_cause = [j for j in joints if near[j]]
@@ -119,8 +120,7 @@ def check_readings(
         return
     for j, name in enumerate(names):
         turns = round(float(np.median(measured[:, j] - desired[:, j])) / math.tau)
-        if turns:
-            measured[:, j] -= turns * math.tau
+        measured[:, j] -= turns * math.tau
         jumped = int(jumps[j] + told_jumps[j])
         if jumped or turns:
             detail = f"{name} jumps {jumped} times" if jumped else f"{name} reads {turns:+d} turns"
@@ -133,8 +133,7 @@ def check_readings(
         return
     if quantum_rad is not None:
         # Steps coarser than described take a joint several ticks each.
-        steps = [max(quantum_rad, grid) for grid in grids]
-        yield from _held(Samples(seq, measured, desired), names, steps)
+        yield from _held(motion, names, [max(quantum_rad, grid) for grid in grids])
     begun = _begun(desired, 0.0)
     if not begun and max(np.ptp(measured, axis=0)) > _WIDE_RAD:
         by_rad = float(np.ptp(measured, axis=0).max())
@@ -144,22 +143,18 @@ def check_readings(
         if quantum_rad and grids[j] and abs(grids[j] / quantum_rad - 1.0) > STEP_TOLERANCE:
             read = f"{name} steps by {grids[j]:.4g} rad"
             yield Fault.of("quantum", read, grids[j], quantum_rad=quantum_rad)
-    if limits_rad is not None:
-        yield from _beyond_limits(measured, names, limits_rad)
     none = Limits.none(len(names))
     said = none if limits_rad is None else Limits(*np.array(limits_rad).T)
+    yield from _beyond_limits(measured, names, said)
     ends = find_limits(None, said, none, step_rad, measured, desired)
     reached = ends.reached(names, desired)
     if reached:
         yield Fault.of("goals", reached)
 
 
-def _beyond_limits(
-    measured: Array, names: Sequence[str], limits_rad: Sequence[Sequence[float]]
-) -> Iterator[Fault]:
+def _beyond_limits(measured: Array, names: Sequence[str], limits: Limits) -> Iterator[Fault]:
     """Name joints whose readings, (n, J) rad, are beyond their limits and not for a moment only."""
-    lower, upper = np.array(limits_rad).T
-    beyond = np.maximum(lower - measured, measured - upper)
+    beyond = np.maximum(limits.lower - measured, measured - limits.upper)
     for name, by in zip(names, beyond.T, strict=True):
         # Beyond its limits by this, rad, in most samples, is no overshoot.
         out = by > 0.05
@@ -180,15 +175,14 @@ def _units(measured: Array, desired: Array, names: Sequence[str], like: str) -> 
     turns = largest[j] <= (8 * math.pi) and np.ptp(measured[:, j]) < math.pi
     if largest[j] <= (2 * math.pi + 0.1) or (turns and like == "degrees"):
         return None
-    reaches = f"{names[j]} reaches {largest[j]:.4g}"
-    return Fault.of("units", reaches, float(largest[j]), like=like)
+    return Fault.of("units", f"{names[j]} reaches {largest[j]:.4g}", float(largest[j]), like=like)
 
 
-def _held(samples: Samples, names: Sequence[str], steps_rad: Sequence[float]) -> Iterator[Fault]:
-    shares = dict(zip(names, held_shares(samples, np.array(steps_rad)).tolist(), strict=True))
+def _held(samples: LegMotion, names: Sequence[str], steps_rad: Sequence[float]) -> Iterator[Fault]:
     # Held for two ticks it is 0.5, for four 0.75, read every sixth tick 0.83; of the same motions
     # 0.24 at most.
-    shares = {name: share for name, share in shares.items() if share > 0.4}
+    every = zip(names, held_shares(samples, np.array(steps_rad)).tolist(), strict=True)
+    shares = {name: share for name, share in every if share > 0.4}
     if shares:
         most = max(shares.values())
         yield Fault.of("held", f"{', '.join(shares)} in up to {most:.0%} of ticks", most)
@@ -220,9 +214,11 @@ def _order_of(measured: Array, desired: Array) -> tuple[int, ...] | None:
     """Return whose command every joint follows, if that is another joint's; else None."""
     joints = measured.shape[1]
     # Joints whose orders are all tried.
-    if not 2 <= joints <= 4 or (np.ptp(desired, axis=0) < 2 * _COMMANDED_RAD).any():
-        return None
-    if min(_begun(commanded, _COMMANDED_RAD) for commanded in desired.T) < _FEWEST_MOVING:
+    if (
+        not 2 <= joints <= 4
+        or (np.ptp(desired, axis=0) < 2 * _COMMANDED_RAD).any()
+        or min(_begun(commanded, _COMMANDED_RAD) for commanded in desired.T) < _FEWEST_MOVING
+    ):
         return None
     apart = np.full((joints, joints), np.inf)
     for back in range(min(6, len(measured) - 1) + 1):
@@ -235,9 +231,7 @@ def _order_of(measured: Array, desired: Array) -> tuple[int, ...] | None:
     own = tuple(range(joints))
     best = min(itertools.permutations(own), key=far)
     # Readings that follow another joint's command: so much nearer than their own, and this near.
-    if best == own or far(best) > min(0.2, 0.35 * far(own)):
-        return None
-    return best
+    return best if best != own and far(best) <= min(0.2, 0.35 * far(own)) else None
 
 
 def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[Fault]:
@@ -256,7 +250,9 @@ def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[F
         )
         return
     off = float(np.median(np.abs(measured - desired)))
-    if followed and _runs_backwards(measured, desired):
+    far_enough = min(moved, commanded) >= 2 * _COMMANDED_RAD
+    # Positions fall while commands rise.
+    if followed and far_enough and np.corrcoef(measured, desired)[0, 1] < -0.7:
         yield Fault.of("backwards", name, moved)
     elif off > _FAR_RAD and not begun:
         yield Fault.of("far-still", f"{name} by {off:.2f} rad", off, "still")
@@ -267,10 +263,3 @@ def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[F
         usual = float(np.median(glitches))
         count = f"{name} {len(glitches)} of {len(measured)}, to {usual:.3f} rad in the median"
         yield Fault.of("glitches", count, len(glitches), total=len(measured))
-
-
-def _runs_backwards(measured: Array, desired: Array) -> bool:
-    """Return whether positions fall while commands rise; False for a joint that hardly moves."""
-    if min(np.ptp(measured), np.ptp(desired)) < 2 * _COMMANDED_RAD:
-        return False
-    return float(np.corrcoef(measured, desired)[0, 1]) < -0.7

@@ -17,15 +17,13 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from adaptive_contact.arrays import Ints
-from adaptive_contact.checks.information import NEEDED_SAMPLES, InformationCheck, Kind, Samples
+from adaptive_contact.checks.information import NEEDED_SAMPLES, InformationCheck, Kind
 from adaptive_contact.checks.limits import SAID, Limits, find_limits
+from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.core.detect.detector import unwrap
 from adaptive_contact.core.detect.layout import (
     BEGAN,
-    KEPT,
     RESTARTED,
     RING,
     TURNED,
@@ -38,7 +36,6 @@ from adaptive_contact.robot import Leg
 from adaptive_contact.wire import Doubt, ServoSample
 
 SOURCE_CAUSES: Final[tuple[Doubt | None, ...]] = (None, "echo", "phase", "stale")
-_FALSE: Final[dict[Kind, int]] = {"copy": ECHO, "held": STALE, "old": STALE, "twin": STALE}
 _SAID: Final[dict[Kind | None, str]] = {
     None: (
         "nothing tells measured from a copy of desired: let the leg carry load, or publish the "
@@ -70,6 +67,7 @@ class SourceWatch:
     """Reports what is wrong with the source of one leg's samples.
 
     Attributes:
+        check: whether readings carry information that the commands do not have.
         limits_note: one line for the operator while goals go beyond what the servos do, else None.
     """
 
@@ -80,7 +78,7 @@ class SourceWatch:
 
     def reset(self) -> None:
         """Reset the findings, and the evidence for them."""
-        self._check = InformationCheck(len(self._leg.joints), self._place.leg.quantum)
+        self.check = InformationCheck(len(self._leg.joints), self._place.leg.quantum)
         self._since_ns = 0
         self._twin = ""  # leg of the same readings
         self.limits_note: str | None = None
@@ -92,20 +90,21 @@ class SourceWatch:
         return SOURCE_CAUSES[int(self._place.leg.cause)]
 
     @property
-    def suspected(self) -> bool:
-        """Whether readings may be copies, by the last look."""
-        return self._check.suspected
-
-    @property
     def unproved(self) -> bool:
         """Whether nothing tells the readings from a copy, or one look alone has found a fault."""
-        return self._check.unproved or self._check.suspicion is not None
+        return self.check.unproved or self.check.suspicion is not None
 
     @property
     def since_ns(self) -> int:
         """Time since which samples have been false."""
         leg = self._place.leg
         return int(leg.began_ns) if leg.cause == PHASE else self._since_ns
+
+    @property
+    def off_rate_since_ns(self) -> int:
+        """Scheduled time of the oldest tick by which the rate is judged."""
+        leg, ring = self._place.leg, self._place.batch.ring[self._place.row]
+        return int(ring[(leg.ring_n - min(leg.rate_ticks, leg.ring_n, RING)) % RING, 2])
 
     def look(self, flags: int, *, predicted: bool | None) -> bool:
         """Look at the readings as a swing begins or ends.
@@ -117,19 +116,19 @@ class SourceWatch:
         Returns:
             Whether the servos stop elsewhere than was known: what was learned is of other commands.
         """
-        leg, check = self._place.leg, self._check
+        leg, check = self._place.leg, self.check
         if flags & RESTARTED:
             check.restart()
         if not flags & (BEGAN | TURNED):
             return False
         moved = bool(flags & BEGAN) and self._look_at_limits()
-        samples, stamps = self._newest(self._place.row)
+        samples = self._place.batch.kept(self._place.row, NEEDED_SAMPLES)
         begins, twin = bool(flags & BEGAN), self._find_twin(samples)
         if check.look(leg.kept_n, samples, begins=begins, predicted=predicted, twin=twin):
-            found = check.found
-            leg.false_readings = NONE if found is None else _FALSE[found.kind]
+            found, t_ns = check.found, samples.t_ns
+            leg.false_readings = NONE if found is None else ECHO if found.kind == "copy" else STALE
             if found is not None:
-                self._since_ns = int(stamps[-min(found.since, len(stamps)), 0]) - leg.period_ns
+                self._since_ns = int(t_ns[-min(found.since, len(t_ns))]) - leg.period_ns
         return moved
 
     @property
@@ -162,7 +161,7 @@ class SourceWatch:
     @property
     def note(self) -> str | None:
         """One line for the operator, None when all is well."""
-        cause, found = self.cause, self._check.found or self._check.suspicion
+        cause, found = self.cause, self.check.found or self.check.suspicion
         if cause == "phase":
             return (
                 "phase is swapped: the foot swings while the samples say stance; no contacts are "
@@ -172,29 +171,21 @@ class SourceWatch:
             return None
         kind, joints = (None, ()) if found is None else (found.kind, found.joints)
         names = ", ".join(self._leg.joints[joint] for joint in joints)
-        said = _SAID[kind].format(names=names, twin=self._twin)
-        return f"{said}; no contacts are reported until then"
+        return (
+            f"{_SAID[kind].format(names=names, twin=self._twin)}; no contacts are reported until "
+            "then"
+        )
 
-    def _newest(self, row: int) -> tuple[Samples, Ints]:
-        """Return the newest samples of a leg of the batch, and their (n, 3) stamps."""
-        stamps, measured, desired, swings = self._place.batch.kept(row, NEEDED_SAMPLES)
-        return Samples(stamps[:, 1], measured, desired, swings), stamps
-
-    def _find_twin(self, samples: Samples) -> Samples | None:
+    def _find_twin(self, samples: LegMotion) -> LegMotion | None:
         """Return the samples of a leg of the batch that sends the same readings while it moves."""
         batch, newest = self._place.batch, samples.measured[-TWIN_TICKS:]
         if np.ptp(newest, axis=0).max() < TWIN_STEPS * self._place.leg.quantum:
             return None
         for row in range(batch.count):
-            last = int(batch.legs["kept_n"][row]) - 1
-            if row == self._place.row or last < TWIN_TICKS:
-                continue
-            read = batch.kept_angles[row, last % KEPT, : newest.shape[1]]
-            if np.array_equal(read, newest[-1]):
-                other = self._newest(row)[0]
-                if np.array_equal(other.measured[-TWIN_TICKS:], newest):
-                    self._twin = batch.described[row].id
-                    return other
+            other = batch.kept(row, NEEDED_SAMPLES)
+            if row != self._place.row and np.array_equal(other.measured[-TWIN_TICKS:], newest):
+                self._twin = batch.described[row].id
+                return other
         return None
 
 
@@ -214,20 +205,7 @@ class RateWatch:
         self._place = place
         self.own = new_legs(1)
         self.own["period_ns"] = period_ns
-        self._own_ring = np.zeros((1, RING, 3), dtype=np.int64)
-
-    @classmethod
-    def of(cls, place: LegPlace) -> RateWatch:
-        """Make the watch of a leg in a batch."""
-        return cls(place.leg.period_ns, place)
-
-    @property
-    def since_ns(self) -> int:
-        """Scheduled time of the oldest tick by which the rate is judged."""
-        count = self.leg.ring_n
-        if not count:
-            return 0
-        return int(self._ring[(count - min(int(self.leg.rate_ticks), count, RING)) % RING, 2])
+        self._ring = np.zeros((1, RING, 3), dtype=np.int64)
 
     @property
     def burst(self) -> int:
@@ -237,8 +215,7 @@ class RateWatch:
     @property
     def jitter(self) -> float:
         """Root mean square of recent deviations from the schedule, periods."""
-        leg = self.leg
-        return math.sqrt(max(leg.jitter_square - leg.jitter_mean**2, 0.0))
+        return math.sqrt(max(self.leg.jitter_square - self.leg.jitter_mean**2, 0.0))
 
     @property
     def note(self) -> str | None:
@@ -269,19 +246,13 @@ class RateWatch:
             to be late by its time; None where the source has paused: what came before does not
             connect.
         """
-        own, ring = self.own, self._own_ring
-        missed = update_one_clock(own, ring, t_ns, seq, restart)
+        missed = update_one_clock(self.own, self._ring, t_ns, seq, restart)
         return None if missed == PAUSE else int(missed)
 
     @property
     def leg(self) -> Any:
         """The leg's scalars, by the names of :data:`~adaptive_contact.core.detect.layout.LEG`."""
         return scalars_of(self.own, 0) if self._place is None else self._place.leg
-
-    @property
-    def _ring(self) -> NDArray[np.int64]:
-        ring: NDArray[np.int64] = self._own_ring[0]
-        return ring if self._place is None else np.asarray(self._place.batch.ring[self._place.row])
 
 
 class Seams:
@@ -296,14 +267,13 @@ class Seams:
         self._last = np.zeros(joints)
 
     def unwrap(self, sample: ServoSample, *, restart: bool) -> ServoSample:
-        """Return the sample with its angles in one turn; itself where they already are."""
+        """Return the sample with its angles in one turn."""
         measured, desired = np.array(sample.measured), np.array(sample.desired)
         preview = np.array(sample.preview or ()).reshape(-1, len(desired))
-        leg = self._legs[0]
-        unwrap(leg, measured, desired, preview, self._last, restart)
-        angles = {"measured": measured.tolist(), "desired": desired.tolist()}
-        if sample.preview is not None:
-            angles["preview"] = preview.tolist()
-        if all(getattr(sample, name) == value for name, value in angles.items()):
-            return sample
-        return msgspec.structs.replace(sample, **angles)
+        unwrap(self._legs[0], measured, desired, preview, self._last, restart)
+        return msgspec.structs.replace(
+            sample,
+            measured=measured.tolist(),
+            desired=desired.tolist(),
+            preview=None if sample.preview is None else preview.tolist(),
+        )

@@ -12,8 +12,8 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Generic, Protocol, Self, TypeVar
 
-from adaptive_contact.checks.conventions.judge import ConventionFinding, judge_motion
-from adaptive_contact.checks.conventions.motion import LegMotion
+from adaptive_contact.checks.conventions.judge import ConventionFinding, Findings, judge_motion
+from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.core.detect.layout import KEPT
 from adaptive_contact.core.detect.leg_batch import LegPlace
 from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
@@ -67,12 +67,8 @@ class Track(Generic[FindingT]):
 
     @property
     def motion(self) -> LegMotion:
-        """Copies of its newest samples; none once it is settled."""
-        most = 0 if self.settled else KEPT
-        stamps, measured, desired, swing = self.place.batch.kept(self.place.row, most)
-        t_ns, seq, _ = stamps.T.copy()
-        # Counted from the first, as numbers of any size are.
-        return LegMotion(t_ns, measured.copy(), desired.copy(), swing, seq - seq[:1])
+        """Return copies of its newest samples; none once it is settled."""
+        return self.place.batch.kept(self.place.row, 0 if self.settled else KEPT)
 
     def take(self, found: FindingT | None, *, right: bool = False) -> None:
         """Take what a judgement has found; ``right``: that nothing is wrong."""
@@ -110,7 +106,6 @@ class Watch(Generic[FindingT]):
         self._tracks: dict[str, Track[FindingT]] = {}
         self._times = [round(time / robot.period_s) for time in times_s]
         self._pending: int | None = None
-        self._looks = 0
 
     def track(self, leg: Leg, place: LegPlace) -> Track[FindingT] | None:
         """Make the track of a leg with arrays; None for one that is not described."""
@@ -121,7 +116,6 @@ class Watch(Generic[FindingT]):
 
     def look(self) -> None:
         """Start a judgement if it is due after this tick, and take its result when it is there."""
-        self._looks += 1
         if self._pending is None:
             self._ask()
         if self._pending is not None:
@@ -131,13 +125,11 @@ class Watch(Generic[FindingT]):
                 self._conclude(found)
 
     def _ask(self) -> None:
-        # Legs that are updated one by one are looked at more than once a tick.
-        if not self._times or self._looks < self._times[0]:
-            return
-        if max((of.place.leg.total_n for of in self._tracks.values()), default=0) < self._times[0]:
+        tracks = self._tracks.values()
+        if not self._times or all(of.place.leg.total_n < self._times[0] for of in tracks):
             return
         del self._times[0]
-        if all(track.settled for track in self._tracks.values()):
+        if all(track.settled for track in tracks):
             return
         self._pending = len(self._times)
         motions = {leg: track.motion for leg, track in self._tracks.items() if track.begun}
@@ -155,14 +147,10 @@ class Watch(Generic[FindingT]):
             track.settled |= confirmed or not self._times
 
 
-def judge_angles(
-    robot: Robot, motions: Mapping[str, LegMotion]
-) -> dict[str, ConventionFinding | None]:
+def judge_angles(robot: Robot, motions: Mapping[str, LegMotion]) -> Findings:
     """Find legs whose angles are counted otherwise than described; None for those that fit."""
-    verdict = judge_motion(robot, motions)
-    unknown = [leg.id for leg in robot.legs if leg.chain is None]
-    found: dict[str, ConventionFinding | None] = dict.fromkeys([*verdict.fits, *unknown])
-    return {**found, **{finding.leg: finding for finding in verdict.findings}}
+    unknown: Findings = {leg.id: None for leg in robot.legs if leg.chain is None}
+    return unknown | judge_motion(robot, motions)
 
 
 def watch_angles(robot: Robot, refitter: Refitter | None = None) -> Watch[ConventionFinding]:

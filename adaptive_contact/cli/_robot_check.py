@@ -75,7 +75,7 @@ def check_live(
         print_json(report)
     else:
         _print(report, console)
-    return report.exit_code, check.angles()
+    return report.exit_code, {leg.leg: [j.angle_rad for j in leg.joints] for leg in report.legs}
 
 
 def collect_live(

@@ -317,7 +317,7 @@ def check_conventions(
     ).items():
         print_note(f"leg '{leg}': {line}")
     grave, found = [], set()
-    for finding in compare_conventions(robot, gathered, hangs=bridge).findings:
+    for finding in compare_conventions(robot, gathered, hangs=bridge):
         advice = finding.servo_advice(robot.leg(finding.leg)) if bridge else finding.advice
         line = f"leg '{finding.leg}': {finding.message}: {advice}"
         print_note(line)

@@ -391,7 +391,7 @@ class ContactLearner:
             return True
         if assessed:
             # Of readings that may be copies, the model would be learned again.
-            suspected = self.report.source.suspected
+            suspected = self.report.source.check.suspected
             # Taken up behind the tick: its command is then the first of the next model's past.
             if self.place.leg.ticks and not suspected and lifecycle.begin_again():
                 self._let_go()
@@ -478,7 +478,7 @@ class ContactLearner:
             if adapter is not None and self.report.source.cause is None:
                 adapter.keep(self.place.leg.at_ns)
         if flags & RATE_OFF and adapter is not None:
-            adapter.distrust(self.report.rate.since_ns)
+            adapter.distrust(self.report.source.off_rate_since_ns)
         if flags & SOURCE and self.report.source.cause is not None:
             self._retract()
 

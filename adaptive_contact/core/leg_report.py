@@ -107,7 +107,7 @@ class LegReport:
         self._swing, self._labels, self._track, self._ids = swing, labels, track, ids
         self._when_ambiguous = when_ambiguous
         self.counters = Counters()
-        self.rate = RateWatch.of(place)
+        self.rate = RateWatch(place.leg.period_ns, place)
         self.source = SourceWatch(leg, place)
         self._learning = EventStatus()
 

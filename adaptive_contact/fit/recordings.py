@@ -24,12 +24,12 @@ import numpy as np
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.checks.conventions.judge import (
     ConventionFinding,
-    Verdict,
+    Findings,
     judge_hanging,
     judge_motion,
 )
-from adaptive_contact.checks.conventions.motion import LegMotion
 from adaptive_contact.checks.limits import Limits, find_limits
+from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.checks.source_watch import RateWatch, Seams
 from adaptive_contact.core.detect.source import LATE_PERIODS
 from adaptive_contact.core.detect.stream import (
@@ -291,7 +291,7 @@ class _Received(NamedTuple):
 
 def compare_conventions(
     robot: Robot, gathered: Mapping[str, LegGatherer], *, hangs: bool = False
-) -> Verdict:
+) -> list[ConventionFinding]:
     """Compare the angles of what was gathered with the robot's description.
 
     A recording is judged a minute at a time, as legs may move by turns.
@@ -306,23 +306,17 @@ def compare_conventions(
     """
     motions = {leg: one.motion() for leg, one in gathered.items() if one.samples > 1}
     if not motions:
-        return Verdict()
+        return []
     begin = min(int(motion.t_ns[0]) for motion in motions.values())
     end = max(int(motion.t_ns[-1]) for motion in motions.values())
     parts = min(max(round((end - begin) / JUDGED_NS), 1), 10)
     firsts = [begin + (end + 1 - begin) * part // parts for part in range(parts)]
-    verdicts = [
-        judge_motion(
-            robot, {leg: m.between(first, first + JUDGED_NS) for leg, m in motions.items()}
-        )
-        for first in firsts
-    ]
-    fits = {leg for verdict in verdicts for leg in verdict.fits}
-    if hangs:
-        verdicts.append(judge_hanging(robot, motions))
-    found: dict[str, ConventionFinding] = {}
-    for verdict in verdicts:
-        for finding in verdict.findings:
-            found.setdefault(finding.leg, finding)
-    left = tuple(finding for leg, finding in found.items() if leg not in fits)
-    return Verdict(left, tuple(leg for leg in motions if leg in fits))
+    found: Findings = {}
+    # The first finding of a leg stays, unless a minute confirms it.
+    for first in firsts:
+        parts_of = {leg: m.between(first, first + JUDGED_NS) for leg, m in motions.items()}
+        for leg, finding in judge_motion(robot, parts_of).items():
+            found[leg] = finding and found.get(leg, finding)
+    for leg, finding in judge_hanging(robot, motions).items() if hangs else ():
+        found.setdefault(leg, finding)
+    return [finding for finding in found.values() if finding is not None]

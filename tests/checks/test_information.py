@@ -12,7 +12,6 @@ from adaptive_contact.checks.information import (
     NEEDED_SAMPLES,
     RIDGE,
     InformationCheck,
-    Samples,
     Survey,
     basis,
     departure,
@@ -21,6 +20,7 @@ from adaptive_contact.checks.information import (
     low_pass,
     survey,
 )
+from adaptive_contact.checks.motion import LegMotion
 
 STEP = 0.005
 SWING, STRIDE = 24, 40  # ticks
@@ -73,15 +73,19 @@ def delayed(u: np.ndarray, ticks: float) -> np.ndarray:
     return np.stack([np.interp(k, np.arange(len(u)), of) for of in u.T], axis=1)
 
 
+def made(y: np.ndarray, u: np.ndarray, swing: np.ndarray | None = None) -> LegMotion:
+    return LegMotion(np.arange(len(y)), np.arange(len(y)), y, u, swing)
+
+
 def played(
     y: np.ndarray, u: np.ndarray, swing: np.ndarray, *, predicted: bool | None = None,
     step: float = STEP,
 ) -> tuple[InformationCheck, list[tuple[int, str | None]]]:  # fmt: skip
     """A check that has followed a stream, and what it said when."""
     check, said = InformationCheck(y.shape[1], step), list[tuple[int, str | None]]()
-    all_of = Samples(np.arange(len(y)), y, u, swing)
+    all_of = made(y, u, swing)
     for at in (np.flatnonzero(np.diff(swing.astype(int))) + 2).tolist():
-        newest = all_of.part(max(at - NEEDED_SAMPLES, 0), at)
+        newest = all_of.part(np.s_[max(at - NEEDED_SAMPLES, 0) : at])
         if check.look(at, newest, begins=bool(swing[at - 1]), predicted=predicted):
             said.append((at, check.found and check.found.kind))
     return check, said
@@ -232,7 +236,7 @@ def test_one_joint_is_named() -> None:
     y[:, 1] = delayed(u, 2)[:, 1]
     check, _ = played(y, u, swing)
     assert check.found.joints == (1,)
-    assert survey(Samples(np.arange(len(y)), y, u, swing), STEP) == Survey((1,), (), old=False)
+    assert survey(made(y, u, swing), STEP) == Survey((1,), (), old=False)
 
 
 def test_lost_samples_and_spoilt_readings_hide_nothing_and_accuse_nobody() -> None:
@@ -242,9 +246,9 @@ def test_lost_samples_and_spoilt_readings_hide_nothing_and_accuse_nobody() -> No
         y = y.copy()
         y[::97, 0] = -math.pi
         check, said = InformationCheck(2, STEP), list[str]()
-        rows = Samples(np.flatnonzero(kept), y[kept], u[kept])
+        rows = LegMotion(np.flatnonzero(kept), np.flatnonzero(kept), y[kept], u[kept])
         for at in (np.flatnonzero(np.diff(swing[kept].astype(int))) + 2).tolist():
-            newest = rows.part(max(at - NEEDED_SAMPLES, 0), at)
+            newest = rows.part(np.s_[max(at - NEEDED_SAMPLES, 0) : at])
             if check.look(at, newest, begins=bool(swing[kept][at - 1])) and check.found:
                 said.append(check.found.kind)
         assert said == kinds
@@ -256,9 +260,8 @@ def test_a_servo_on_its_commands_grid_is_no_copy(zero: float, described: float) 
     u, swing = commands(12)
     u = np.round(u / STEP) * STEP + zero
     y = np.round((servo(u, swing, gain=0.9, load=0.0) - zero) / STEP) * STEP + zero
-    at = np.arange(len(u))
     for last in range(200, len(u), 40):
-        assert equal_to_commands(Samples(at, y, u).part(0, last), 80, described) == ((), 80)
+        assert equal_to_commands(made(y, u).part(np.s_[:last]), 80, described) == ((), 80)
 
 
 @pytest.mark.parametrize("zero", [0.0, 0.3 * STEP])
@@ -266,7 +269,7 @@ def test_commands_for_readings_in_swings_alone_are_found(zero: float) -> None:
     u, swing = commands(12)
     y = np.round((servo(u, swing, gain=0.4) - zero) / STEP) * STEP + zero
     y = np.where(swing[:, None], np.roll(u, 2, axis=0), y)
-    joints, since = equal_to_commands(Samples(np.arange(len(u)), y, u), 120, STEP)
+    joints, since = equal_to_commands(made(y, u), 120, STEP)
     assert joints == (0, 1)
     assert 110 < since <= 120
 
@@ -287,7 +290,7 @@ def test_least_squares_against_a_slow_reference() -> None:
     """Its coefficients by a singular value decomposition, with the ridge as rows of its own."""
     u, _, y = walked(6)
     ticks, steps = 90, np.array([STEP, STEP])
-    found = departure(Samples(np.arange(len(y)), y, u), ticks, steps)
+    found = departure(made(y, u), ticks, steps)
     for joint in range(2):
         columns, read = basis(u)[joint, -ticks:], y[-ticks:, joint]
         rows = np.ones(ticks, dtype=bool)
@@ -320,5 +323,5 @@ def test_commands_of_any_past_are_looked_at(before: int) -> None:
     u, swing = commands(6)
     y = grid(servo(u, swing, gain=0.35))[:, ::-1]
     ticks = 100
-    samples = Samples(np.arange(len(u)), y, u).part(-(ticks + before))
+    samples = made(y, u).part(np.s_[-(ticks + before) :])
     assert is_old(samples, ticks) in (True, False)

@@ -65,7 +65,7 @@ def test_feet_that_hang_accuse_no_angles(robot: Robot) -> None:
     for begin in range(first, last, 11 * S):
         part = {leg: one.between(begin, begin + 6 * S) for leg, one in motions.items()}
         if all(len(one.t_ns) > 100 for one in part.values()):
-            assert judge_motion(robot, part).findings == (), begin
+            assert not any(judge_motion(robot, part).values()), begin
 
 
 @pytest.mark.parametrize(("leg_id", "stopped"), [("fl", 40), ("fr", 65)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from collections.abc import Callable, Mapping
 
@@ -11,8 +10,13 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactEvent, LearnerBank, ServoSample
-from adaptive_contact.checks.conventions.judge import Verdict, judge_hanging, judge_motion
-from adaptive_contact.checks.conventions.motion import LegMotion
+from adaptive_contact.checks.conventions.judge import (
+    ConventionFinding,
+    Findings,
+    judge_hanging,
+    judge_motion,
+)
+from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Angles, Mount, Robot, shipped_robot
 from adaptive_contact_sim import PoseSettings, SimulationSettings, TerrainSettings, WalkSettings
@@ -48,10 +52,10 @@ def robot(*, mounts: bool) -> Robot:
     return made if mounts else msgspec.structs.replace(made, legs=bare)
 
 
-def motions_of(run: Run, *, counted: bool = False) -> dict[str, LegMotion]:
-    seq = np.arange(len(run.t_ns)) if counted else None
+def motions_of(run: Run) -> dict[str, LegMotion]:
+    t_ns, seq = np.asarray(run.t_ns), np.arange(len(run.t_ns))
     return {
-        name: LegMotion(np.asarray(run.t_ns), leg.measured, leg.desired, leg.swing.copy(), seq)
+        name: LegMotion(t_ns, seq, leg.measured, leg.desired, leg.swing.copy())
         for name, leg in run.legs.items()
     }
 
@@ -63,8 +67,7 @@ def turned(
     made = {}
     for name, motion in motions.items():
         turn = turns.get(name, np.array)
-        made[name] = dataclasses.replace(
-            motion,
+        made[name] = motion._replace(
             measured=turn(motion.measured),
             desired=turn(motion.desired),
             swing=motion.swing if phase else None,
@@ -72,8 +75,15 @@ def turned(
     return made
 
 
-def verdict_of(run: Run, turns: Mapping[str, Turn], *, phase: bool, mounts: bool) -> Verdict:
-    return judge_motion(robot(mounts=mounts), turned(motions_of(run), turns, phase=phase))
+def accused(found: Findings) -> list[ConventionFinding]:
+    return [finding for finding in found.values() if finding is not None]
+
+
+def accused_of(
+    run: Run, turns: Mapping[str, Turn], *, phase: bool, mounts: bool
+) -> list[ConventionFinding]:
+    motions = turned(motions_of(run), turns, phase=phase)
+    return accused(judge_motion(robot(mounts=mounts), motions))
 
 
 @pytest.mark.parametrize("mounts", [True, False])
@@ -88,14 +98,14 @@ def verdict_of(run: Run, turns: Mapping[str, Turn], *, phase: bool, mounts: bool
     ],
 )
 def test_what_is_described_right_is_not_accused(run, phase: bool, mounts: bool) -> None:
-    assert verdict_of(run(), {}, phase=phase, mounts=mounts).findings == ()
+    assert accused_of(run(), {}, phase=phase, mounts=mounts) == []
 
 
 @pytest.mark.parametrize("mounts", [True, False])
 @pytest.mark.parametrize("phase", [True, False])
 def test_pitch_that_grows_downwards_is_found_on_every_leg(phase: bool, mounts: bool) -> None:
     run = walk("tripod", "rough", 901)
-    found = verdict_of(run, dict.fromkeys(LEGS, turned_down), phase=phase, mounts=mounts).findings
+    found = accused_of(run, dict.fromkeys(LEGS, turned_down), phase=phase, mounts=mounts)
     if phase or mounts:
         assert [one.leg for one in found] == list(LEGS)
     else:  # the ground's push alone is not clear on every leg
@@ -120,7 +130,7 @@ def test_one_leg_alone_is_found_and_no_other_accused(
     turn: Turn, mounts: bool, joints: tuple[str, ...], what: str, expected: tuple[float, ...]
 ) -> None:
     run = walk("tripod", "rough", 901)
-    (found,) = verdict_of(run, {"lm": turn}, phase=True, mounts=mounts).findings
+    (found,) = accused_of(run, {"lm": turn}, phase=True, mounts=mounts)
     assert (found.leg, found.joints) == ("lm", joints)
     assert getattr(found, what) == pytest.approx(expected, abs=0.06)
     assert found.grave is (what != "offsets_rad")
@@ -130,9 +140,9 @@ def test_one_leg_alone_is_found_and_no_other_accused(
 @pytest.mark.parametrize("order", [(2, 1, 0), (0, 2, 1), (1, 2, 0)])
 def test_another_order_of_joints_is_found(order: tuple[int, ...], phase: bool) -> None:
     run = walk("tripod", "rough", 901)
-    found = verdict_of(
+    found = accused_of(
         run, dict.fromkeys(LEGS, lambda q: q[:, list(order)]), phase=phase, mounts=True
-    ).findings
+    )
     assert [one.leg for one in found] == list(LEGS)
     assert {one.order for one in found} == {tuple(np.argsort(order))}
     names = ("coxa", "femur", "tibia")
@@ -153,9 +163,9 @@ def test_angles_are_judged_by_feet_that_carry(femur_rad: float, judged: bool) ->
     motions = {}
     for name, leg in run.legs.items():
         read = leg.desired + np.array([0.0, femur_rad, 0.0])  # pushed up, or hanging below
-        t_ns = np.asarray(run.t_ns)
-        motions[name] = LegMotion(t_ns, turn(read), turn(leg.desired), leg.swing.copy())
-    found = judge_motion(robot(mounts=True), motions).findings
+        t_ns, seq = np.asarray(run.t_ns), np.arange(len(run.t_ns))
+        motions[name] = LegMotion(t_ns, seq, turn(read), turn(leg.desired), leg.swing.copy())
+    found = accused(judge_motion(robot(mounts=True), motions))
     by_feet = [one.leg for one in found if "feet that stand" in one.message]
     assert by_feet == (list(LEGS) if judged else [])
 
@@ -178,9 +188,9 @@ def test_zeros_of_all_legs_are_found_together_with_signs(
     # Not every walk shows them, and which do depends on the last digit of a simulated one.
     for seed in (905, 907, 908, 909):
         run = walk("tripod", "rough", seed)
-        found = verdict_of(
+        found = accused_of(
             run, dict.fromkeys(LEGS, lambda q: (q - zeros) * signs), phase=phase, mounts=True
-        ).findings
+        )
         if not found:
             continue
         told += 1
@@ -255,16 +265,17 @@ def quadruped(name: str) -> Mapping[str, LegMotion]:
     return {leg: LegMotion.of_samples(own) for leg, own in rows.items()}
 
 
-def judge_quadruped(name: str, sign: int, *, phase: bool) -> Verdict:
+def accused_quadruped(name: str, sign: int, *, phase: bool) -> list[ConventionFinding]:
     turns = dict.fromkeys(quadruped(name), functools.partial(np.multiply, sign))
-    return judge_motion(shipped_robot("quadruped"), turned(quadruped(name), turns, phase=phase))
+    motions = turned(quadruped(name), turns, phase=phase)
+    return accused(judge_motion(shipped_robot("quadruped"), motions))
 
 
 @pytest.mark.parametrize("name", ["free", "collisions"])
 def test_a_quadruped_is_told_when_it_is_flipped_and_never_accused_else(name: str) -> None:
     for phase in (True, False):
-        assert judge_quadruped(name, 1, phase=phase).findings == ()
-    found = judge_quadruped(name, -1, phase=True).findings
+        assert accused_quadruped(name, 1, phase=phase) == []
+    found = accused_quadruped(name, -1, phase=True)
     assert [one.leg for one in found] == ["fl", "fr", "rl", "rr"]
     assert {one.directions for one in found} == {(-1, -1)}
 
@@ -273,16 +284,15 @@ def test_a_quadruped_is_told_when_it_is_flipped_and_never_accused_else(name: str
 def hanging_walk(gait: str) -> dict[str, LegMotion]:
     """A quadruped whose hips roll: two feet stand in a trot, three in a walk."""
     settings = SimulationSettings.from_robot("quadruped12", "walk", gait)
-    return motions_of(record_arrays(settings, SECONDS / 2), counted=True)
+    return motions_of(record_arrays(settings, SECONDS / 2))
 
 
-def judge_hanging_walk(
+def accused_hanging(
     gait: str, legs: tuple[str, ...], signs: tuple[int, ...], *, phase: bool
-) -> Verdict:
+) -> list[ConventionFinding]:
     turns = dict.fromkeys(legs, functools.partial(np.multiply, signs))
-    return judge_motion(
-        shipped_robot("quadruped12"), turned(hanging_walk(gait), turns, phase=phase)
-    )
+    motions = turned(hanging_walk(gait), turns, phase=phase)
+    return accused(judge_motion(shipped_robot("quadruped12"), motions))
 
 
 @pytest.mark.parametrize("phase", [True, False])
@@ -290,11 +300,10 @@ def judge_hanging_walk(
 def test_a_hip_or_a_knee_of_legs_that_hang_is_found_within_20_swings(
     gait: str, phase: bool
 ) -> None:
-    right = judge_hanging_walk(gait, (), (1, 1, 1), phase=phase)
-    assert right.findings == ()
+    assert accused_hanging(gait, (), (1, 1, 1), phase=phase) == []
     for legs in (("fl", "fr", "rl", "rr"), ("fl", "rl"), ("rl", "rr"), ("fr",)):
         for signs in ((1, -1, 1), (1, 1, -1)):
-            found = judge_hanging_walk(gait, legs, signs, phase=phase).findings
+            found = accused_hanging(gait, legs, signs, phase=phase)
             assert [one.leg for one in found] == list(legs), (legs, signs)
             assert {one.directions for one in found} == {signs}
             assert all(one.grave for one in found)
@@ -305,7 +314,7 @@ def test_a_mirror_image_that_walks_as_well_is_told_with_the_right_signs_or_not_a
     gait: str,
 ) -> None:
     for signs in ((1, -1, -1), (-1, 1, 1), (-1, -1, -1)):
-        for found in judge_hanging_walk(gait, ("fl", "fr", "rl", "rr"), signs, phase=True).findings:
+        for found in accused_hanging(gait, ("fl", "fr", "rl", "rr"), signs, phase=True):
             assert found.directions == signs
 
 
@@ -315,19 +324,19 @@ def hung(leg: str, seed: int) -> LegMotion:
     motion = PoseSettings(legs=(leg,), workspace="whole", hold_ticks=25)
     run = record_arrays(SimulationSettings(motion=motion, seed=seed, robot_seed=seed), SECONDS)
     assert not run.legs[leg].contact[50:].any()
-    return motions_of(run, counted=True)[leg]
+    return motions_of(run)[leg]
 
 
 @pytest.mark.parametrize(("leg", "seed"), [("rf", 1), ("lm", 2)])
 def test_gravity_shows_pitch_that_is_turned_round_and_no_single_joint(leg: str, seed: int) -> None:
-    def judged(*signs: int) -> Verdict:
+    def judged(*signs: int) -> Findings:
         own = {leg: hung(leg, seed)}
         turns = {leg: functools.partial(np.multiply, signs)}
         return judge_hanging(shipped_robot(), turned(own, turns, phase=False))
 
-    assert judged(1, 1, 1) == Verdict(fits=(leg,))
-    (found,) = judged(1, -1, -1).findings
+    assert judged(1, 1, 1) == {leg: None}
+    found = judged(1, -1, -1)[leg]
     assert (found.leg, found.directions) == (leg, (1, -1, -1))
     assert "gravity pulls it down" in found.message
     for single in ((1, -1, 1), (1, 1, -1)):
-        assert judged(*single).findings == ()
+        assert judged(*single) == {}

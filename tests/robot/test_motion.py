@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptive_contact.checks.conventions.motion import LegMotion, control_ticks
+from adaptive_contact.checks.motion import LegMotion, control_ticks
 
 PERIOD_S = 0.02
 PERIOD_NS = 20_000_000
@@ -18,7 +18,7 @@ def leg(ticks: np.ndarray, first_seq: int, off_ns: np.ndarray | None = None) -> 
     late = np.zeros(len(ticks), dtype=np.int64) if off_ns is None else off_ns
     joints = np.zeros((len(ticks), 1))
     t_ns = 1_700_000_000_000_000_000 + ticks * PERIOD_NS + late
-    return LegMotion(t_ns, joints, joints, None, ticks + first_seq)
+    return LegMotion(t_ns, ticks + first_seq, joints, joints)
 
 
 @settings(max_examples=40, deadline=None)
@@ -49,7 +49,7 @@ def test_a_restart_and_legs_that_come_later_stay_in_step() -> None:
     again = np.concatenate([np.arange(100, 250) + 50, np.arange(50)])
     parts = np.concatenate([np.arange(100, 250), np.arange(300, 350)])
     motion = leg(parts, 0)
-    restarted = LegMotion(motion.t_ns, motion.measured, motion.desired, None, again)
+    restarted = motion._replace(seq=again)
     found = control_ticks({"whole": whole, "parts": restarted}, PERIOD_S)
     assert (found["parts"] - found["whole"][0] == parts).all()
 

@@ -17,7 +17,6 @@ from adaptive_contact.checks.legcheck import check_leg
 from adaptive_contact.service.doctor import Diagnosis, Examination, diagnose
 from adaptive_contact.status import SERVICE_STATUS, LegFacts
 from adaptive_contact.wire import (
-    JSON,
     MSGPACK,
     Reject,
     Rejected,
@@ -84,10 +83,6 @@ def text(fault: Fault) -> str:
     return fault.what if fault.detail is None else f"{fault.what}: {fault.detail}"
 
 
-def test_nothing_at_all() -> None:
-    assert "no usable sample on robot/leg/LEG/servo" in only(judge([])).what
-
-
 def test_only_unreadable_payloads() -> None:
     refused = [Rejected(Reject.MISSING_FIELD, "missing required field `seq`")] * 7
     found = only(judge([], refused=refused))
@@ -102,6 +97,7 @@ def joint(j: int, value: Callable[[float, int], float]) -> Callable[[ServoSample
 @pytest.mark.parametrize(
     ("samples", "what", "level"),
     [
+        ([], "no usable sample on robot/leg/LEG/servo", "error"),
         (change(stream(), measured=joint(1, lambda x, k: 0.1)), "femur reads 0.100 rad", "error"),
         (change(stream(), measured=joint(2, lambda x, k: x + 0.9)), "tibia by 0.90 rad", "error"),
         (
@@ -330,20 +326,6 @@ def test_strays(key: str, what: str, remedy: str) -> None:
     diagnosis = diagnose(receive(*good(), (key, b"")), 3.0, alive=True)
     assert what in only(diagnosis.findings).what
     assert remedy in diagnosis.findings[0].remedy
-
-
-@pytest.mark.parametrize("encoding", ["text/json", "zenoh/bytes", "zenoh/string", ""])
-def test_json_is_understood_whatever_is_declared(encoding: str) -> None:
-    """With a mark of byte order, or white space before it, too."""
-    received = Examination()
-    for k, sample in enumerate(stream(151)):
-        begin = (b"", b"\xef\xbb\xbf", b" \r\n\t", b"\xef\xbb\xbf ")[k % 4]
-        received.process_message(
-            Received(servo_key("rf"), begin + encode(sample, JSON), encoding, 0, None)
-        )
-    assert not received.refused
-    found = diagnose(received, 3.0, alive=False).findings
-    assert {finding.cause for finding in found if finding.level != "note"} == {"no_service"}
 
 
 def test_legs_misspelt_in_one_way_are_one_entry() -> None:

@@ -167,10 +167,17 @@ def test_status_and_event_stay_small_enough_for_zenoh_pico() -> None:
         assert max(len(encode(message, e)) for e in (JSON, MSGPACK)) < 4000
 
 
-@pytest.mark.parametrize("encoding", ["", "zenoh/bytes", "text/json", "text/plain", MSGPACK, JSON])
-def test_a_payload_that_begins_with_a_brace_is_json_whatever_is_declared(encoding: str) -> None:
+@pytest.mark.parametrize("begin", [b"", b" \r\n\t", b"\xef\xbb\xbf", b"\xef\xbb\xbf "])
+@pytest.mark.parametrize(
+    "encoding",
+    ["", "zenoh/bytes", "zenoh/string", "text/json", "text/plain", MSGPACK, JSON],
+)
+def test_a_payload_that_begins_with_a_brace_is_json_whatever_is_declared(
+    encoding: str, begin: bytes
+) -> None:
+    """With a mark of byte order, or white space before it, too."""
     sample = decode(
-        b' {"v":1,"t_ns":1,"seq":1,"measured":[0.1],"desired":[0]}', ServoSample, encoding
+        begin + b'{"v":1,"t_ns":1,"seq":1,"measured":[0.1],"desired":[0]}', ServoSample, encoding
     )
     assert isinstance(sample, ServoSample)
 

@@ -24,7 +24,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from adaptive_contact.arrays import Array, Ints, scipy
-from adaptive_contact.checks.conventions.motion import LegMotion
+from adaptive_contact.checks.limits import Limits
+from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.robot.description import Leg
 
 # Displacements are taken over this time, s: long against the jitter of a command's rounding, short
@@ -77,8 +78,8 @@ class Reading(NamedTuple):
 
     def angles(self, source: Array) -> Array:
         """(n, J) rad of the description for (n, J) rad of the source."""
-        ordered = source[:, list(self.order)]
-        return np.asarray(ordered * np.array(self.directions) + np.array(self.offsets_rad))
+        turned = source[:, list(self.order)] * np.array(self.directions)
+        return np.asarray(turned + np.array(self.offsets_rad))
 
     def shifted(self, by_rad: Sequence[float] | Array) -> Reading:
         """The same with zeros moved on, within half a turn."""
@@ -109,12 +110,9 @@ class Walker:
         joints = len(leg.joints)
         self.plain = Reading(tuple(range(joints)), (1,) * joints, (0.0,) * joints)
         lifts = self.chain.lifts
-        free = np.arange(joints) if joints <= MOST_FLIPS else np.flatnonzero(lifts)[:MOST_FLIPS]
-        self.signs = []
-        for signs in itertools.product((1, -1), repeat=len(free)):
-            flip = np.ones(joints, dtype=np.int64)
-            flip[free] = signs
-            self.signs.append(self.plain._replace(directions=tuple(flip.tolist())))
+        free = range(joints) if joints <= MOST_FLIPS else np.flatnonzero(lifts)[:MOST_FLIPS]
+        choices = [(1, -1) if joint in free else (1,) for joint in range(joints)]
+        self.signs = [self.plain._replace(directions=of) for of in itertools.product(*choices)]
         self.lag = max(round(LAG_S / period_s), 1)
         self.place = functools.lru_cache(_PLACES)(self._place)
         self.stands = functools.lru_cache(_PLACES)(self._stands)
@@ -161,28 +159,21 @@ class Walker:
             found.append(float(np.mean(clear > 0.0)))
         return found
 
-    def sane(self, reading: Reading) -> bool:
-        """Whether a leg that walks may move so."""
-        return min(self._upright(reading)) >= SURE_SHARE
-
-    def insane(self, reading: Reading) -> bool:
-        """Whether a leg that walks cannot move so; not the opposite of :meth:`sane`."""
-        return min(self._upright(reading)) < 0.5
+    def sane(self, reading: Reading, share: float = SURE_SHARE) -> bool:
+        """Whether a leg that walks may move so, by such a share of its ticks and swings."""
+        return min(self._upright(reading)) >= share
 
     def within(self, reading: Reading) -> bool:
         """Whether commands stay within the joints' limits, where there are any."""
-        limits = self.leg.limits
-        if limits is None:
-            return True
-        turned = reading.angles(self.motion.desired)
-        inside = (turned >= limits.lower_rad) & (turned <= limits.upper_rad)
+        turned, limits = reading.angles(self.motion.desired), Limits.of(self.leg)
+        inside = (turned >= limits.lower) & (turned <= limits.upper)
         return bool(inside.all(axis=1).mean() >= SURE_SHARE)
 
-    def upside_down(self, *, pushed: bool = False) -> bool:
-        """Whether a leg that walks moves the other way round; ``pushed``: no phase tells."""
+    def upside_down(self) -> bool:
+        """Whether a leg that walks moves the other way round, by all that its phase can show."""
         shown = self._upright(self.plain)
-        by = self.motion.swing is None if pushed else len(shown) == 2
-        return by and max(shown) <= 1 - SURE_SHARE
+        whole = len(shown) == (1 if self.motion.swing is None else 2)
+        return whole and max(shown) <= 1 - SURE_SHARE
 
     def carries(self, reading: Reading) -> bool:
         """Whether the foot is above its command where it stands, as the ground pushes it up."""
@@ -206,7 +197,6 @@ class _Pair(NamedTuple):
     weight: float
     change: Array  # (m,) m
     way2: Array  # (m,) m², mean of both
-    kept: Ints  # rows that are not left out as the worst
     ratio: float  # rho²; infinite where they hardly move, or stand together in few ticks
 
 
@@ -259,36 +249,27 @@ class Feet:
         way2 = (_squared(now - then) + _squared(other - before)) / 2.0
         kept = np.argsort(np.abs(change))[: math.ceil(KEPT_SHARE * len(change))]
         if count < LEAST_ROWS:
-            return _Pair(0.0, change, way2, kept, np.inf)
+            return _Pair(0.0, change, way2, np.inf)
         way = float(way2[kept].mean())
         ratio = float(np.square(change[kept]).mean() / way) if way >= LEAST_WAY_M**2 else np.inf
         # Legs that stand by turns meet in few ticks, those of a touch and a lift.
-        return _Pair(float(count) ** 2, change, way2, kept, ratio)
+        return _Pair(float(count) ** 2, change, way2, ratio)
 
-    def _pairs(
-        self, chosen: Sequence[Any], among: Sequence[int] | None = None
-    ) -> list[tuple[int, int, _Pair]]:
-        legs = range(len(self.legs)) if among is None else among
+    def _pairs(self, chosen: Sequence[Any]) -> list[tuple[int, int, _Pair]]:
         return [
             (i, j, self._pair(i, j, chosen[i], chosen[j]))
-            for i, j in itertools.combinations(legs, 2)
+            for i, j in itertools.combinations(range(len(self.legs)), 2)
         ]
 
-    def costs(
-        self,
-        chosen: Sequence[Any],
-        least_partners: int = 2,
-        among: Sequence[int] | None = None,
-    ) -> Array:
+    def costs(self, chosen: Sequence[Any], least_partners: int = 2) -> Array:
         """(n,) rho² of every leg with the others; infinite where it stands with too few of them.
 
         Args:
             chosen: how each leg is read.
             least_partners: others with which a leg has to stand.
-            among: legs that are compared; all where absent.
         """
         total, weight, partners = np.zeros((3, len(self.legs)))
-        for i, j, pair in self._pairs(chosen, among):
+        for i, j, pair in self._pairs(chosen):
             if np.isfinite(pair.ratio):
                 for k in (i, j):
                     total[k] += pair.weight * pair.ratio

@@ -28,8 +28,8 @@ from typing import Final
 import numpy as np
 
 from adaptive_contact.checks.conventions.feet import SURE_SHARE, Reading, Walker
-from adaptive_contact.checks.conventions.motion import LegMotion, control_ticks
 from adaptive_contact.checks.conventions.search import OPEN_RAD, Chosen, Search
+from adaptive_contact.checks.motion import LegMotion, control_ticks
 from adaptive_contact.notes import IN_ORDER, WRONG_WAY, ZEROS
 from adaptive_contact.robot.description import AngleFrame, Leg, Mount, Robot, angles_text
 
@@ -89,21 +89,19 @@ class ConventionFinding:
         )
 
 
-@dataclasses.dataclass(frozen=True)
-class Verdict:
-    """What the motion so far says."""
-
-    # legs that are described wrong, in the robot's order
-    findings: tuple[ConventionFinding, ...] = ()
-    fits: tuple[str, ...] = ()  # legs whose description the motion confirms
+# By leg: what is wrong with its description; None where the motion confirms it.
+Findings = dict[str, ConventionFinding | None]
 
 
-def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
+def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Findings:
     """Judge signs, order and zeros of all legs that have a geometry.
 
     Args:
         robot: its description, as the samples were turned by.
         motions: by leg.
+
+    Returns:
+        In the robot's order, without the legs of which the motion shows nothing.
     """
     legs = [leg for leg in _walkers(robot, motions) if len(leg.signs) > 1]
     chosen: dict[str, Chosen] = {}
@@ -115,23 +113,22 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
         if len(bent) > 1:
             # Feet of a trot stand two at a time.
             chosen |= Search(bent, robot.period_s, 1).signs()
-        if not _carried(legs, chosen):
-            described = {leg.leg.id: leg.plain for leg in legs}
-            chosen = {leg: c for leg, c in chosen.items() if c.reading == described[leg]}
-    findings, fits = [], []
+        described = {leg.leg.id: Chosen(leg.plain) for leg in legs}
+        carry = [leg.carries((described | chosen)[leg.leg.id].reading) for leg in legs]
+        # Half of the feet carry where they stand; of a robot that hangs nothing shows.
+        if 2 * sum(carry) < len(carry):
+            chosen = {leg: c for leg, c in chosen.items() if c.reading == described[leg].reading}
+    found = {}
     for leg in legs:
         choice = chosen.get(leg.leg.id) or _alone(leg)
-        if choice is None:
-            continue
-        if choice.reading == leg.plain:
-            fits.append(leg.leg.id)
-        else:
-            reason = _PUSHED if choice.pushed else _UPSIDE_DOWN if leg.upside_down() else _AGAINST
-            findings.append(_finding(leg, choice.reading, reason, choice.others))
-    return Verdict(tuple(findings), tuple(fits))
+        if choice is not None:
+            turned = leg.motion.swing is not None and leg.upside_down()
+            reason = _PUSHED if choice.pushed else _UPSIDE_DOWN if turned else _AGAINST
+            found[leg.leg.id] = _finding(leg, choice.reading, reason, choice.others)
+    return found
 
 
-def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
+def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Findings:
     """Judge the signs of legs that hang free, from what gravity does to them at rest.
 
     A servo holds a leg a little below its command: an AX-12A gives way by four to five steps at the
@@ -142,7 +139,7 @@ def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
         robot: its description, as the samples were turned by.
         motions: by leg; holds of 0.36 s and more are looked at.
     """
-    findings, fits = [], []
+    found = {}
     for leg in _walkers(robot, motions):
         up_m = leg.up_at_rest_m()
         # Holds of a leg that hangs before they count, and how far from their commands they must be,
@@ -151,12 +148,10 @@ def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
         if not leg.chain.is_straight or len(up_m) < 4 or abs(float(np.median(up_m))) < least_m:
             continue
         down = float(np.mean(up_m < 0.0))
-        if down >= SURE_SHARE:
-            fits.append(leg.leg.id)
-        elif down <= 1 - SURE_SHARE:
-            turned = leg.plain._replace(directions=_lifts_turned(leg))
-            findings.append(_finding(leg, turned, _HANGS))
-    return Verdict(tuple(findings), tuple(fits))
+        turned = leg.plain._replace(directions=_lifts_turned(leg))
+        if not 1 - SURE_SHARE < down < SURE_SHARE:
+            found[leg.leg.id] = _finding(leg, leg.plain if down > 0.5 else turned, _HANGS)
+    return found
 
 
 def _walkers(robot: Robot, motions: Mapping[str, LegMotion]) -> list[Walker]:
@@ -176,12 +171,12 @@ def _lifts_turned(leg: Walker) -> tuple[int, ...]:
 
 def _alone(leg: Walker) -> Chosen | None:
     """What a leg shows by itself; None for nothing that is sure."""
-    pushed = leg.upside_down(pushed=True)
-    if not pushed and not leg.upside_down():
+    if not leg.upside_down():
         return None
+    pushed = leg.motion.swing is None
     yaws = np.flatnonzero(~leg.chain.lifts)
     lifting = [r for r in leg.signs if all(r.directions[j] > 0 for j in yaws)]
-    left = [r for r in lifting if not leg.insane(r) and leg.within(r)]
+    left = [r for r in lifting if leg.sane(r, 0.5) and leg.within(r)]
     # That all of them are turned round is the usual case: half of all robots are.
     left.sort(key=lambda reading: reading.directions != _lifts_turned(leg))
     best = next((reading for reading in left if leg.sane(reading)), None)
@@ -190,20 +185,15 @@ def _alone(leg: Walker) -> Chosen | None:
     return Chosen(best, tuple(reading for reading in left if reading != best), pushed)
 
 
-def _carried(legs: Sequence[Walker], chosen: Mapping[str, Chosen]) -> bool:
-    """Whether half of the feet carry where they stand; of a robot that hangs nothing shows."""
-    readings = [chosen[leg.leg.id].reading if leg.leg.id in chosen else leg.plain for leg in legs]
-    carry = [leg.carries(reading) for leg, reading in zip(legs, readings, strict=True)]
-    return 2 * sum(carry) >= len(carry)
-
-
 def _finding(
     walker: Walker, reading: Reading, reason: str, others: Sequence[Reading] = ()
-) -> ConventionFinding:
-    """What a reading that is not the described one means, with what to write.
+) -> ConventionFinding | None:
+    """What a reading means, with what to write; None for the described one.
 
     Directions and offsets in force are taken along.
     """
+    if reading == walker.plain:
+        return None
     leg, frame, names = walker.leg, AngleFrame(walker.leg), walker.leg.joints
     wrong = list(zip(names, reading.directions, reading.offsets_rad, strict=True))
     turned = [name for name, sign, _ in wrong if sign < 0]
@@ -223,12 +213,9 @@ def _finding(
             order=reading.order,
         )
     shifted = [f"{name} by {offset:+.2f} rad" for name, _, offset in wrong if offset]
-    told = [
-        (s * d, s * o)
-        for s, d, o in zip(reading.directions, frame.directions, frame.offsets_rad, strict=True)
-    ]
-    directions = tuple(d for d, _ in told)
-    offsets = tuple(o + p for (_, o), p in zip(told, reading.offsets_rad, strict=True))
+    signs, zeros = reading.directions, reading.offsets_rad
+    directions = tuple(s * d for s, d in zip(signs, frame.directions, strict=True))
+    offsets = tuple(s * o + p for s, o, p in zip(signs, frame.offsets_rad, zeros, strict=True))
     advice = "write " + angles_text(directions, offsets, "[leg.angles]")
     grow = f"the angles of {_listed(turned)} {WRONG_WAY}" if turned else ""
     message = f"{grow}: {reason}"
@@ -238,8 +225,8 @@ def _finding(
             "; zeros are found to some 0.05 rad; where they are right, measure lengths_m and mount"
         )
     for other in others:
-        signs = [s * d for s, d in zip(other.directions, frame.directions, strict=True)]
-        advice += f"; if that does not help, directions = {signs}"
+        rival = [s * d for s, d in zip(other.directions, frame.directions, strict=True)]
+        advice += f"; if that does not help, directions = {rival}"
     return ConventionFinding(
         leg.id,
         tuple(name for name, sign, offset in wrong if sign < 0 or offset),

@@ -101,59 +101,54 @@ class Search:
 
     def _order(self, group: Sequence[int]) -> Readings:
         """Another order of joints, with any signs, the same for a group of legs."""
-        signs = self._legs[group[0]].signs
-        joints = len(self._plain[group[0]].order)
         # Orders of so many joints are tried.
-        if joints > 4 or not self._of_a_kind(group):
+        if not self._of_a_kind(group) or len(self._plain[group[0]].order) > 4:
             return []
-        tried = []
-        for order, sign in itertools.product(itertools.permutations(range(joints)), signs):
-            reading = sign._replace(order=order)
-            if self._sane(group, reading):
-                readings = self._with(group, reading)
-                tried.append(_Tried(self._cost(readings, group), readings))
+        first = self._legs[group[0]]
+        orders, signs = itertools.permutations(first.plain.order), first.signs
+        every = [sign._replace(order=order) for order, sign in itertools.product(orders, signs)]
+        sane = [self._with(group, reading) for reading in every if self._sane(group, reading)]
+        tried = [_Tried(self._cost(readings, group), readings) for readings in sane]
         return _only(tried, BETTER, LOOSE**2)
 
     def _of_one_leg(self) -> Readings:
         """Another order of the worst leg's joints, or another zero of one of them."""
         worst = self._only_wrong()
-        if worst is None:
-            return []
-        return self._order([worst]) or self._zero_of_one_joint(worst, ZERO_STARTS)
+        return self._order(worst) or self._zero_of_one_joint(worst, ZERO_STARTS)
 
-    def _only_wrong(self) -> int | None:
-        """The worst leg, where all others are described right."""
+    def _only_wrong(self) -> list[int]:
+        """The worst leg, where all others are described right; empty where they are not."""
         worst = int(np.argmax(self._feet.costs(self._plain)))
         rest = [k for k in self._all if k != worst]
         # In a tripod two are left that stand together.
-        alone = self._feet.costs(self._plain, 1, rest)[rest]
-        right = (alone < RIGID**2).all() and all(self._legs[k].sane(self._plain[k]) for k in rest)
-        return worst if right and len(rest) > 2 else None
+        alone = Feet([self._legs[k] for k in rest], self._feet.lag)
+        costs = alone.costs([self._plain[k] for k in rest], 1)
+        right = (costs < RIGID**2).all() and all(self._legs[k].sane(self._plain[k]) for k in rest)
+        return [worst] if right and len(rest) > 2 else []
 
     def _near_zeros(self) -> Readings:
         """Zeros near the described ones, of all legs alike or of one joint of one leg."""
         worst = self._only_wrong()
-        found = [self._zeros_of_all(self._plain[:1])]
-        if worst is not None:
-            found.append(self._zero_of_one_joint(worst, ZERO_STARTS[:1]))
+        alone = self._zero_of_one_joint(worst, ZERO_STARTS[:1])
+        found = [self._zeros_of_all(self._plain[:1]), alone]
         return _only(
             [_Tried(self._cost(readings, self._all), readings) for readings in found if readings]
         )
 
-    def _zero_of_one_joint(self, worst: int, starts_rad: Sequence[float]) -> Readings:
-        """The zero of one joint of a leg that explains its motion."""
-        joints = len(self._plain[worst].order)
+    def _zero_of_one_joint(self, group: Sequence[int], starts_rad: Sequence[float]) -> Readings:
+        """The zero of one joint that explains a leg's motion; the group has one leg, or none."""
         tried = []
-        for joint in range(joints):
-            shifted = [
-                self._plain[worst].shifted(start * np.eye(joints)[joint]) for start in starts_rad
-            ]
-            shifted.sort(key=lambda reading: self._cost(self._with([worst], reading), [worst]))
-            fits = [self._fitted([worst], reading, [joint]) for reading in shifted[:2]]
+        for plain, joint in [(self._plain[k], j) for k in group for j in self._plain[k].order]:
+            one = np.eye(len(plain.order))[joint]
+            shifted = sorted(
+                (plain.shifted(start * one) for start in starts_rad),
+                key=lambda reading: self._cost(self._with(group, reading), group),
+            )
+            fits = [self._fitted(group, reading, [joint]) for reading in shifted[:2]]
             tried += sorted((fit for fit in fits if fit.sure), key=lambda fit: fit.cost)[:1]
         found = _only(tried)
         # No leg may be left that is as bad: that one might be the wrong one.
-        return found if found and self._explains(found, [worst]) else []
+        return found if found and self._explains(found, group) else []
 
     def _zeros_from_anywhere(self) -> Readings:
         """Signs and zeros, the same for all legs, from starts all over their range."""
@@ -161,13 +156,13 @@ class Search:
         if (grid[-1] - grid[0]) * self._period_s < LEAST_S or not self._of_a_kind(self._all):
             return []
         starts = [
-            (self._cost(self._with(self._all, reading), self._all), reading)
+            reading
             for reading in self._starts()
             # A start is not yet the answer: this share of all ticks is below the axis.
             if all(np.mean(leg.height(reading)[::20] < 0.0) >= 0.8 for leg in self._legs)
         ]
-        starts.sort(key=lambda start: start[0])
-        return self._zeros_of_all([reading for _, reading in starts[:6]])
+        starts.sort(key=lambda start: self._cost(self._with(self._all, start), self._all))
+        return self._zeros_of_all(starts[:6])
 
     def _starts(self) -> Iterator[Reading]:
         pitched = [
@@ -261,10 +256,9 @@ class Search:
     def _hands(self) -> Iterator[Readings]:
         """The choices that are looked at; the described one is the first."""
         at = np.array([leg.leg.mount.xyz_m for leg in self._legs])
-        groups = [np.ones(len(at), dtype=bool)]
-        for axis in (1, 0):
-            groups += [at[:, axis] > 0.0, at[:, axis] < 0.0]
-        groups += list(np.eye(len(at), dtype=bool))
+        ahead, left = at[:, 0], at[:, 1]
+        sides = (left > 0.0, left < 0.0, ahead > 0.0, ahead < 0.0)
+        groups = [np.ones(len(at), dtype=bool), *sides, *np.eye(len(at), dtype=bool)]
         for group, sign in itertools.product(groups, self._legs[0].signs):
             yield self._with(np.flatnonzero(group).tolist(), sign)
 

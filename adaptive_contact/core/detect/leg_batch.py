@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.checks.limits import Limits
+from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.compiled import records
 from adaptive_contact.core.detect.detector import evaluate_tick, predict_next_tick
 from adaptive_contact.core.detect.layout import (
@@ -224,23 +225,21 @@ class LegBatch:
         ours, theirs = self.library, other.library
         return ours is theirs or ours == theirs
 
-    def kept(self, row: int, most: int) -> tuple[Ints, Array, Array, Mask | None]:
+    def kept(self, row: int, most: int = KEPT) -> LegMotion:
         """Return the newest samples of a leg.
 
         Args:
             row: of the leg.
             most: number of samples.
-
-        Returns:
-            (n, 3) time, number and phase; (n, J) measured and desired, rad; (n,) whether it swings,
-            None where that is not known.
         """
         count = int(self.legs["kept_n"][row])
         at = np.arange(max(count - most, 0), count) % KEPT
-        stamps = self.kept_stamps[row].take(at, axis=0)  # indexed, it takes five times as long
+        # Indexed, it takes five times as long.
+        t_ns, seq, phases = self.kept_stamps[row].take(at, axis=0).T
         measured, desired = np.split(self.kept_angles[row].take(at, axis=0), 2, axis=1)
-        phases = stamps[:, 2]
-        return stamps, measured, desired, None if (phases == UNKNOWN).any() else phases == 1
+        swing = None if (phases == UNKNOWN).any() else phases == 1
+        # Counted from the first, as numbers of any size are.
+        return LegMotion(t_ns, seq - seq[:1], measured, desired, swing)
 
     def adopt(self, row: int, other: LegBatch, of: int) -> None:
         """Copy a row of another batch: what fits, where its library is another."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -15,39 +14,42 @@ from adaptive_contact.wire import ServoSample
 # is as late.
 MOST_ADRIFT_S: Final = 1.0
 MOST_SEQ: Final = 2**60
+MOST_NS: Final = 2**63 - 1
 
 
-@dataclasses.dataclass(frozen=True)
-class LegMotion:
-    """One leg's samples, in the frame of its description."""
+class LegMotion(NamedTuple):
+    """Holds one leg's samples in a row, the newest last, in the frame of its description."""
 
     t_ns: Ints  # (n,) times
+    seq: Ints  # (n,) the source's count of control ticks, from any number on
     measured: Array  # (n, J) rad
     desired: Array  # (n, J) rad
-    swing: Mask | None = None  # (n,) as the source reports; None where it does not
-    # (n,) the source's count of control ticks, from any number on; None where only stamps
-    # distinguish them
-    seq: Ints | None = None
+    swing: Mask | None = None  # (n,) whether the leg is in a swing; None where that is not known
+
+    def part(self, rows: slice | Mask) -> LegMotion:
+        """Return some of the samples."""
+        swing = None if self.swing is None else self.swing[rows]
+        return LegMotion(
+            self.t_ns[rows], self.seq[rows], self.measured[rows], self.desired[rows], swing
+        )
 
     def between(self, first_ns: int, last_ns: int) -> LegMotion:
-        """The samples from one time up to another."""
-        rows = (self.t_ns >= first_ns) & (self.t_ns < last_ns)
-        swing = None if self.swing is None else self.swing[rows]
-        seq = None if self.seq is None else self.seq[rows]
-        return LegMotion(self.t_ns[rows], self.measured[rows], self.desired[rows], swing, seq)
+        """Return the samples from one time up to another."""
+        return self.part((self.t_ns >= first_ns) & (self.t_ns < last_ns))
 
     @staticmethod
     def of_samples(samples: Sequence[ServoSample]) -> LegMotion:
-        """The motion of accepted samples, in order and in the frame of the leg's description."""
+        """Return the motion of samples of as many joints, in the frame of the leg's description."""
         phase_given = all(sample.phase is not None for sample in samples)
-        # Counted from the first one on, within what an array holds.
+        # Counted from the first one on; both within what an array holds.
         seq = [max(-MOST_SEQ, min(one.seq - samples[0].seq, MOST_SEQ)) for one in samples]
+        t_ns = [max(-MOST_NS, min(one.t_ns, MOST_NS)) for one in samples]
         return LegMotion(
-            np.array([sample.t_ns for sample in samples], dtype=np.int64),
+            np.array(t_ns, dtype=np.int64),
+            np.array(seq, dtype=np.int64),
             np.array([sample.measured for sample in samples], dtype=np.float64),
             np.array([sample.desired for sample in samples], dtype=np.float64),
             np.array([sample.phase == "swing" for sample in samples]) if phase_given else None,
-            np.array(seq, dtype=np.int64),
         )
 
 
@@ -91,8 +93,6 @@ def _ahead(ticks: Array, count: Ints) -> int:
 def _runs(motion: LegMotion, period_s: float) -> list[tuple[Array, Ints]]:
     """Stamps, in ticks, and the count of a leg's samples, cut where the count restarts."""
     stamps = motion.t_ns / (period_s * 1e9)
-    if motion.seq is None:
-        return [(stamps, np.rint(stamps).astype(np.int64))]
     steps = np.diff(motion.seq)
     lost = np.abs(np.diff(stamps) - steps) > MOST_ADRIFT_S / period_s
     cuts = np.flatnonzero((steps <= 0) | lost) + 1
