@@ -258,13 +258,17 @@ one_for_all = remembering(_shared)
 
 
 def caught(leg: str, from_s: float, most_rad: float) -> Mistake:
-    """A cable holds a foot from some time on: the second joint gets no further than this."""
+    """A cable holds a foot from some time on; beyond this the second joint stretches it.
+
+    Without any give it would be a servo's own limit, which is found and is no fault.
+    """
 
     def changed(sent: Sent, _: np.random.Generator) -> Sent:
         if sent.leg != leg or sent.at_ns < from_s * 1e9:
             return sent
         first, second, *rest = sent.body["measured"]
-        return sent.but(measured=[first, min(second, most_rad), *rest])
+        held = round(0.85 * max(second - most_rad, 0.0) / AX12_STEP) * AX12_STEP
+        return sent.but(measured=[first, second - held, *rest])
 
     return each_sample(changed)
 

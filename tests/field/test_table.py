@@ -151,7 +151,7 @@ def test_pitch_that_grows_downwards_is_named(walk: list[m.Sent], phase: bool, gi
 
 
 def test_a_leg_that_a_cable_holds_while_it_walks(walk: list[m.Sent]) -> None:
-    made = list(m.caught("rm", 4.0, 0.7)(walk, np.random.default_rng(1)))
+    made = list(m.caught("rm", 4.0, 0.2)(walk, np.random.default_rng(1)))
     diagnosis = listen(made, ROBOT, BASELINE)
     assert causes(diagnosis) == ["ambiguous"], diagnosis.findings
     assert [finding.legs for finding in diagnosis.findings if finding.level == "error"] == [["rm"]]
