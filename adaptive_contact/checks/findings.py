@@ -132,7 +132,7 @@ class Fault(NamedTuple):
     total: int = 0  # samples of which ``size`` is a part; a small part makes it a note
 
     @classmethod
-    def of(
+    def from_table(
         cls,
         name: str,
         /,
@@ -167,7 +167,7 @@ class Finding(NamedTuple):
     legs: Sequence[str] = ()  # all legs that it is of
 
 
-def of_legs(legs: Iterable[str]) -> str:
+def name_legs(legs: Iterable[str]) -> str:
     """Format leg ids: ``leg lf`` or ``legs lf rf``."""
     names = list(legs)
     return f"leg{'s' if len(names) > 1 else ''} {' '.join(names)}"

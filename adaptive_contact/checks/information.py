@@ -154,7 +154,7 @@ class InformationCheck:
         self._strides.clear()
         self._agreed = self._white = 0
 
-    def look(
+    def check_strides(
         self,
         count: int,
         samples: LegMotion,
@@ -182,7 +182,7 @@ class InformationCheck:
         if ticks < LEAST_TICKS or len(samples.seq) < ticks + LAGS:
             return False
         self.suspected, self.suspicion = False, None
-        finding, decided = self._judge(samples, ticks, predicted=predicted, twin=twin)
+        finding, decided = self._find_fault(samples, ticks, predicted=predicted, twin=twin)
         if not decided:
             return False
         unclear = self.suspected and finding is None and self.found is None
@@ -209,7 +209,7 @@ class InformationCheck:
         two, one = (count - at for at in self._strides)
         return min(two, max(ENOUGH_TICKS, one), MOST_TICKS)
 
-    def _judge(
+    def _find_fault(
         self, samples: LegMotion, ticks: int, *, predicted: bool | None, twin: LegMotion | None
     ) -> tuple[Finding | None, bool]:
         """Judge so many ticks: what is wrong, and whether they show anything."""
@@ -552,7 +552,7 @@ def survey(samples: LegMotion, step_rad: float) -> Survey:
         looks = dict.fromkeys(range(n % every or every, n + 1, every), True)
     for count, begins in looks.items():
         newest = samples.part(np.s_[max(count - NEEDED_SAMPLES, 0) : count])
-        check.look(count, newest, begins=begins, predicted=None if turns else True)
+        check.check_strides(count, newest, begins=begins, predicted=None if turns else True)
         old |= check.found is not None and check.found.kind == "old"
         seen |= set(check.copies)
     seen |= set(check.open_joints if check.unproved else ())

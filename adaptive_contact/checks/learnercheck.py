@@ -43,31 +43,31 @@ def about_learner(
     if refused:
         listed = ", ".join(f"{reason} {times}" for reason, times in sorted(refused.items()))
         grown = sum(times - before.rejects.get(reason, 0) for reason, times in refused.items())
-        yield Fault.of(
+        yield Fault.from_table(
             "refused", listed, grown, level="warning" if grown else "note", total=samples
         )
     stale = "held" if "held" in note else "twins" if "of leg" in note else "old"
     doubts = {
-        "echo": Fault.of("echo", note, key="some"),
-        "unproved": Fault.of("near_echo-unproved", key="some"),
-        "stale": Fault.of(stale, note, key="some"),
-        "phase": Fault.of("phase-swapped", key="swapped"),
-        "publishers": Fault.of("two_publishers", note, publishers=2),
+        "echo": Fault.from_table("echo", note, key="some"),
+        "unproved": Fault.from_table("near_echo-unproved", key="some"),
+        "stale": Fault.from_table(stale, note, key="some"),
+        "phase": Fault.from_table("phase-swapped", key="swapped"),
+        "publishers": Fault.from_table("two_publishers", note, publishers=2),
     }
     if SWAPPED in note:
-        yield Fault.of("leg_swap", note)
+        yield Fault.from_table("leg_swap", note)
     elif speaks_of_angles(note):
         # A wrong yaw or a small zero changes no height, and the leg works on.
         works_on = status.status != "ambiguous"
-        yield Fault.of("signs-service", note, level="warning" if works_on else "error")
+        yield Fault.from_table("signs-service", note, level="warning" if works_on else "error")
     elif status.status == "learning":
         cold = service is not None and service.baseline is None
-        yield Fault.of("learning-cold" if cold else "learning", status.note)
+        yield Fault.from_table("learning-cold" if cold else "learning", status.note)
     elif status.doubt in doubts:
         if doubts[status.doubt].cause not in causes:
             yield doubts[status.doubt]
     elif status.status == "ambiguous" and status.doubt != "unjudged":
-        yield Fault.of("ambiguous", status.note)
+        yield Fault.from_table("ambiguous", status.note)
     elif status.note is not None:
         cause: Cause = next((c for words, c in _NOTED.items() if words in status.note), "leg_note")
         if cause not in causes:
@@ -82,7 +82,7 @@ def about_learner(
                 key=key,
             )
     elif status.status == "silent":
-        yield Fault.of("leg_note-silent")
+        yield Fault.from_table("leg_note-silent")
 
 
 def all_lost(
@@ -106,4 +106,4 @@ def all_lost(
     if len(statuses) < 2 or len(lost) < len(statuses):
         return
     for status in lost:
-        yield status.leg, Fault.of("not_this_robot", status.note)
+        yield status.leg, Fault.from_table("not_this_robot", status.note)

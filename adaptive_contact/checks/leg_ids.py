@@ -64,7 +64,7 @@ class Owner(NamedTuple):
         )
 
 
-def judge_fit(
+def compare_models(
     robot: Robot, baseline: Baseline, motions: Mapping[str, LegMotion]
 ) -> dict[str, Owner | None]:
     """Compare every leg's residuals under its own and the others' baselines.
@@ -142,7 +142,7 @@ def _root(residuals: Array) -> float:
     return float(np.sqrt(squares[: math.ceil(0.95 * len(squares))].mean()))
 
 
-def judge_ids(
+def find_exchanged_ids(
     robot: Robot, baseline: Baseline | None, motions: Mapping[str, LegMotion]
 ) -> dict[str, Owner]:
     """Find legs whose samples are another leg's.
@@ -150,7 +150,7 @@ def judge_ids(
     Returns:
         By the name that samples come under: the leg that they are of.
     """
-    known = {} if baseline is None else judge_fit(robot, baseline, motions)
+    known = {} if baseline is None else compare_models(robot, baseline, motions)
     fitted = {leg: owner for leg, owner in known.items() if owner is not None}
     legs = [leg for leg in robot.legs if leg.id in motions]
     if (
@@ -216,18 +216,18 @@ def _seated(legs: Sequence[Walker]) -> Feet:
     return Feet(legs, legs[0].lag, [leg.plain for leg in legs], place)
 
 
-def judge_recorded_ids(
+def check_recorded_ids(
     robot: Robot, samples: Mapping[str, Sequence[ServoSample]]
 ) -> dict[str, str]:
     """Write one line for each leg whose recorded samples seem to be another leg's."""
-    motions = {leg: LegMotion.of_samples(own[:KEPT]) for leg, own in samples.items() if own}
-    return {leg: owner.note for leg, owner in judge_ids(robot, None, motions).items()}
+    motions = {leg: LegMotion.from_samples(own[:KEPT]) for leg, own in samples.items() if own}
+    return {leg: owner.note for leg, owner in find_exchanged_ids(robot, None, motions).items()}
 
 
 def _found_ids(
     robot: Robot, baseline: Baseline | None, motions: Mapping[str, LegMotion]
 ) -> dict[str, Owner | None]:
-    return {**dict.fromkeys(motions), **judge_ids(robot, baseline, motions)}
+    return {**dict.fromkeys(motions), **find_exchanged_ids(robot, baseline, motions)}
 
 
 def watch_ids(robot: Robot, baseline: Baseline | None, refitter: Refitter) -> Watch[Owner]:

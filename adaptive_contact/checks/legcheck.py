@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from adaptive_contact.checks.findings import Fault, Finding, entries, many, of_legs
+from adaptive_contact.checks.findings import Fault, Finding, entries, many, name_legs
 from adaptive_contact.checks.position_step import position_step
 from adaptive_contact.checks.readings import check_fields, check_readings
 from adaptive_contact.checks.source_watch import NOTED_JITTER, RateWatch
@@ -61,7 +61,7 @@ def check_leg(
     refusals = list(_refusals(refused, len(samples) + len(refused)))
     if not samples:
         key = "" if facts is None or facts.described else leg
-        return refusals or [Fault.of("silent", key=key, seconds=seconds)]
+        return refusals or [Fault.from_table("silent", key=key, seconds=seconds)]
     joints = Counter(len(sample.measured) for sample in samples).most_common(1)[0][0]
     found = [
         *refusals,
@@ -84,7 +84,9 @@ def check_leg(
         elif known is not None and known.described and known.quantum_rad is None:
             step_rad = max(_grids(usable), default=0.0)
             if step_rad > ASSUMED_STEP_RAD:
-                found.append(Fault.of("undeclared-step", f"of {step_rad:.3g} rad", step_rad))
+                found.append(
+                    Fault.from_table("undeclared-step", f"of {step_rad:.3g} rad", step_rad)
+                )
         limits = None if known is None else known.limits_rad
         found += check_readings(usable, names, quantum, limits)
     return found
@@ -144,7 +146,7 @@ def check_twins(samples: Mapping[str, Sequence[ServoSample]]) -> Iterator[tuple[
             if len(mine & theirs) >= max(_FEWEST, 0.8 * min(len(mine), len(theirs)))
         ]
         if len(alike) > 1:  # more than itself
-            yield leg, Fault.of("twins", key=" ".join(sorted(alike)))
+            yield leg, Fault.from_table("twins", key=" ".join(sorted(alike)))
 
 
 def check_ids(published: Sequence[str], described: Sequence[str], robot: str) -> Iterator[Fault]:
@@ -156,8 +158,8 @@ def check_ids(published: Sequence[str], described: Sequence[str], robot: str) ->
     strangers = [leg for leg in published if leg not in described]
     missing = [leg for leg in described if leg not in published]
     if strangers and missing:
-        yield Fault.of(
-            "leg_ids", robot=robot, strangers=of_legs(strangers), missing=of_legs(missing)
+        yield Fault.from_table(
+            "leg_ids", robot=robot, strangers=name_legs(strangers), missing=name_legs(missing)
         )
 
 
@@ -172,25 +174,27 @@ def _refusals(refused: Sequence[Rejected], total: int) -> Iterator[Fault]:
         reason, number = Counter(item.reason for item in items).most_common(1)[0]
         detail = next(item.detail for item in items if item.reason == reason)
         found = f"{len(items)} refused; {reason} {number} times: {detail}"
-        yield Fault.of(name, found, len(items), reason, total=total)
+        yield Fault.from_table(name, found, len(items), reason, total=total)
 
 
 def _shape(samples: Sequence[ServoSample], joints: int, facts: LegFacts | None) -> Iterator[Fault]:
     if facts is not None and not facts.described:
-        yield Fault.of("undescribed")
+        yield Fault.from_table("undescribed")
     elif facts is not None and joints != len(facts.joints):
-        yield Fault.of(
+        yield Fault.from_table(
             "joints", joints=joints, count=len(facts.joints), names=", ".join(facts.joints)
         )
     odd = sum(len(s.measured) != joints or len(s.desired) != joints for s in samples)
     if odd:
-        yield Fault.of("joints-odd", f"{odd} of {len(samples)}", odd, "odd", total=len(samples))
+        yield Fault.from_table(
+            "joints-odd", f"{odd} of {len(samples)}", odd, "odd", total=len(samples)
+        )
     if facts is not None and not facts.lengths and all(s.phase is None for s in samples):
-        yield Fault.of("phase")
+        yield Fault.from_table("phase")
     yield from _phases(samples)
     share = sum(s.valid is not None and not all(s.valid) for s in samples) / len(samples)
     if share > 0.05:
-        yield Fault.of("invalid", f"{share:.0%} of them", share)
+        yield Fault.from_table("invalid", f"{share:.0%} of them", share)
 
 
 def _phases(samples: Sequence[ServoSample]) -> Iterator[Fault]:
@@ -198,9 +202,9 @@ def _phases(samples: Sequence[ServoSample]) -> Iterator[Fault]:
     # No swing takes so many samples in a row: two seconds at 50 Hz.
     phases = {s.phase for s in samples} if len(samples) >= 100 else ()
     if phases == {"swing"}:
-        yield Fault.of("phase-swing", f"{len(samples)} samples", key="swing")
+        yield Fault.from_table("phase-swing", f"{len(samples)} samples", key="swing")
     elif phases == {"stance"} and _goes_to_and_fro(samples):
-        yield Fault.of("phase-stance", f"{len(samples)} samples", key="stance")
+        yield Fault.from_table("phase-stance", f"{len(samples)} samples", key="stance")
 
 
 def _goes_to_and_fro(samples: Sequence[ServoSample]) -> bool:
@@ -218,11 +222,11 @@ def _publishers(samples: Sequence[ServoSample]) -> Iterator[Fault]:
     changes = sum(a != b for a, b in pairwise(runs))
     if changes > len(set(runs)):
         values = f"run values {', '.join(sorted(map(str, set(runs)))[:3])}"
-        yield Fault.of("two_publishers", values, publishers=len(set(runs)))
+        yield Fault.from_table("two_publishers", values, publishers=len(set(runs)))
     # A source that is restarted by hand starts once or twice in the seconds looked at; `run` lasts
     # for seconds.
     elif changes >= 4 and len(samples) < 50 * (changes + 1):
-        yield Fault.of("run", f"{changes} times in {len(samples)} samples", changes)
+        yield Fault.from_table("run", f"{changes} times in {len(samples)} samples", changes)
 
 
 def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[Fault]:
@@ -236,28 +240,28 @@ def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[F
     usual = _usual_step(pairs)
     lost = sum(max(0, round((b.seq - a.seq) / usual) - 1) for a, b in pairs)
     if backwards:
-        yield Fault.of(
+        yield Fault.from_table(
             "time_backwards", f"in {backwards} of {total} samples", backwards, total=total
         )
     if repeated:
-        yield Fault.of("seq", f"{repeated} of {total}", repeated, total=total)
+        yield Fault.from_table("seq", f"{repeated} of {total}", repeated, total=total)
     if usual > 1:
-        yield Fault.of("seq-step", size=total, key="step", step=usual, lost=usual - 1)
+        yield Fault.from_table("seq-step", size=total, key="step", step=usual, lost=usual - 1)
     steps = _steps_s(pairs, usual)
     if back:
         times = f"{len(back)} times, such as {back[-1][0].seq} to {back[-1][1].seq}"
         wraps = None if steps is None else _wraps_at(back, usual, steps[1])
         if wraps is not None:
-            yield Fault.of("seq-wrap", times, len(back), "wrap", wraps=wraps)
+            yield Fault.from_table("seq-wrap", times, len(back), "wrap", wraps=wraps)
         else:
-            yield Fault.of("seq-back", times, len(back), "back", total=total)
+            yield Fault.from_table("seq-back", times, len(back), "back", total=total)
     if many(lost, len(samples)):
-        yield Fault.of("loss", f"{lost} ({lost / (lost + len(samples)):.1%})", lost)
+        yield Fault.from_table("loss", f"{lost} ({lost / (lost + len(samples)):.1%})", lost)
     if steps is None:
         return
     mean_s, middle_s = steps
     if period_s is None and middle_s < _SHORTEST_S:
-        yield Fault.of("time_unit", step=middle_s * 1e9, unit="not to be in nanoseconds")
+        yield Fault.from_table("time_unit", step=middle_s * 1e9, unit="not to be in nanoseconds")
     elif period_s is not None and (
         # A pause bends the mean, jitter the median: the rate is wrong where both are.
         min(_off(mean_s, period_s), _off(middle_s, period_s)) > _RATE_TOLERANCE
@@ -311,7 +315,7 @@ def _undeclared(samples: Sequence[ServoSample], usable: Sequence[ServoSample]) -
         yield _coarse(grids[-1], "readings step by")
     elif grids:
         words += f", readings step by {grids[len(grids) // 2]:.3g} rad"
-    yield Fault.of("undeclared", words)
+    yield Fault.from_table("undeclared", words)
 
 
 def _grids(usable: Sequence[ServoSample]) -> list[float]:
@@ -328,9 +332,11 @@ def _off(step_s: float, period_s: float) -> float:
 def _rate(step_s: float, period_s: float) -> Fault:
     for unit, factor in (("microseconds", 1e3), ("milliseconds", 1e6), ("seconds", 1e9)):
         if _off(step_s * factor, period_s) <= _RATE_TOLERANCE:
-            return Fault.of("time_unit", step=step_s * 1e9, unit=f"to be in {unit}")
+            return Fault.from_table("time_unit", step=step_s * 1e9, unit=f"to be in {unit}")
     found = f"found {step_s * 1e3:.1f} ms ({1 / step_s:.1f} Hz)"
-    return Fault.of("period", found, _off(step_s, period_s), ms=period_s * 1e3, hz=1 / period_s)
+    return Fault.from_table(
+        "period", found, _off(step_s, period_s), ms=period_s * 1e3, hz=1 / period_s
+    )
 
 
 def _jitter(samples: Sequence[ServoSample], period_s: float) -> Iterator[Fault]:
@@ -338,17 +344,17 @@ def _jitter(samples: Sequence[ServoSample], period_s: float) -> Iterator[Fault]:
     run = Counter(s.run for s in samples).most_common(1)[0][0]
     rate, seen = RateWatch(round(period_s * 1e9)), list[float]()
     for row in (s for s in samples if s.run == run):
-        rate.follow(row.t_ns, row.seq, restart=not seen)
+        rate.update(row.t_ns, row.seq, restart=not seen)
         seen.append(rate.jitter)
     jitter = float(np.median(seen[_FEWEST_STAMPS:] or [0.0]))
     if rate.burst:
-        yield Fault.of("jitter-bursts", ticks=rate.burst)
+        yield Fault.from_table("jitter-bursts", ticks=rate.burst)
     elif jitter > NOTED_JITTER:
         by = f"by {jitter * period_s * 1e3:.1f} ms (root mean square; {jitter:.0%} of a tick)"
-        yield Fault.of("jitter", by, jitter)
+        yield Fault.from_table("jitter", by, jitter)
 
 
 def _coarse(quantum_rad: float, who: str = "robot.toml says quantum_rad =") -> Fault:
-    return Fault.of(
+    return Fault.from_table(
         "quantum-coarse", key="coarse", who=who, quantum_rad=quantum_rad, most=MOST_QUANTUM_RAD
     )

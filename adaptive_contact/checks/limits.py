@@ -53,7 +53,7 @@ class Limits(NamedTuple):
         return cls(np.full(joints, -np.inf), np.full(joints, np.inf))
 
     @classmethod
-    def of(cls, leg: Leg) -> Limits:
+    def from_leg(cls, leg: Leg) -> Limits:
         """Return what is described of a leg."""
         if leg.limits is None:
             return cls.none(len(leg.joints))

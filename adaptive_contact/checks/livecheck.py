@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from adaptive_contact.arrays import Array
-from adaptive_contact.checks.conventions.judge import judge_motion
+from adaptive_contact.checks.conventions.judge import check_motion
 from adaptive_contact.checks.findings import Fault, Finding, entries
 from adaptive_contact.checks.legcheck import check_ids, check_leg
 from adaptive_contact.checks.motion import LegMotion
@@ -112,7 +112,7 @@ class LiveCheck:
         self._strangers: set[str] = set()
         self.moves: list[str] = []  # joints that were moved and came to rest, one line each
 
-    def take(self, received: Received) -> None:
+    def process_message(self, received: Received) -> None:
         """Process one message; all but samples are ignored."""
         leg = leg_of_key(received.key)
         if leg is None or not received.key.endswith("/servo"):
@@ -123,11 +123,11 @@ class LiveCheck:
         elif isinstance(sample, Rejected):
             self._legs[leg].refused.append(sample)
         else:
-            self.take_sample(leg, sample)
+            self.add_sample(leg, sample)
 
-    def take_sample(self, leg_id: str, sample: ServoSample) -> None:
+    def add_sample(self, leg_id: str, sample: ServoSample) -> None:
         """Process a sample of a leg of the description."""
-        moved = self._legs[leg_id].take(sample)
+        moved = self._legs[leg_id].update(sample)
         if moved is not None:
             self.moves.append(moved)
 
@@ -138,11 +138,11 @@ class LiveCheck:
     def report(self, seconds: float) -> LiveReport:
         """Judge what was taken in within ``seconds``."""
         motions = {
-            name: LegMotion.of_samples(leg.turned)
+            name: LegMotion.from_samples(leg.turned)
             for name, leg in self._legs.items()
             if len(leg.turned) > 1
         }
-        verdict = judge_motion(self._robot, motions)
+        verdict = check_motion(self._robot, motions)
         sending = [name for name, leg in self._legs.items() if leg.samples or leg.refused]
         published, known = sorted({*sending, *self._strangers}), self._robot.leg_ids
         faults: list[tuple[str | None, Fault]] = [
@@ -159,7 +159,7 @@ class LiveCheck:
             )
             faults += [(name, fault) for fault in of_leg]
             if wrong := verdict.get(name):
-                signs = Fault.of(
+                signs = Fault.from_table(
                     "signs", wrong.line(leg.leg), level="error" if wrong.grave else "warning"
                 )
                 faults.append((name, signs))
@@ -191,7 +191,7 @@ class _LegCheck:
         self._rest_ticks = max(round(0.3 / robot.period_s), 2)
         self._rested: Array | None = None
 
-    def take(self, sample: ServoSample) -> str | None:
+    def update(self, sample: ServoSample) -> str | None:
         """Process a sample; return what was moved, once it rests again."""
         self.samples.append(sample)
         answered = sample.valid is None or all(sample.valid)

@@ -38,7 +38,7 @@ class LegMotion(NamedTuple):
         return self.part((self.t_ns >= first_ns) & (self.t_ns < last_ns))
 
     @staticmethod
-    def of_samples(samples: Sequence[ServoSample]) -> LegMotion:
+    def from_samples(samples: Sequence[ServoSample]) -> LegMotion:
         """Return the motion of samples of as many joints, in the frame of the leg's description."""
         phase_given = all(sample.phase is not None for sample in samples)
         # Counted from the first one on; both within what an array holds.

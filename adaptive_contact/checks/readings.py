@@ -61,7 +61,7 @@ def check_fields(samples: Sequence[ServoSample], joints: int) -> Iterator[Fault]
         wrong = [s for s in samples if not is_right(s, joints)]
         if wrong:
             count, total = len(wrong), len(samples)
-            yield Fault.of(
+            yield Fault.from_table(
                 "field",
                 f"{count} of {total}",
                 count,
@@ -89,8 +89,8 @@ def check_readings(
     finite = [s for s in samples if all(map(math.isfinite, (*s.measured, *s.desired)))]
     spoilt, total = len(samples) - len(finite), len(samples)
     if spoilt:
-        yield Fault.of("not_finite", f"{spoilt} of {total}", spoilt, total=total)
-    motion = LegMotion.of_samples([s for s in finite if s.valid is None or all(s.valid)])
+        yield Fault.from_table("not_finite", f"{spoilt} of {total}", spoilt, total=total)
+    motion = LegMotion.from_samples([s for s in finite if s.valid is None or all(s.valid)])
     if len(motion.seq) < 10:
         return
     measured, desired = motion.measured, motion.desired
@@ -112,11 +112,11 @@ def check_readings(
         if of_cause:
             every = len(of_cause) == len(names)
             which = None if every else ", ".join(names[j] for j in of_cause)
-            yield Fault.of(cause, which, key="" if every else "some")
+            yield Fault.from_table(cause, which, key="" if every else "some")
             if cause == "echo":
                 return
     if found.old:
-        yield Fault.of("old")
+        yield Fault.from_table("old")
         return
     for j, name in enumerate(names):
         turns = round(float(np.median(measured[:, j] - desired[:, j])) / math.tau)
@@ -124,12 +124,12 @@ def check_readings(
         jumped = int(jumps[j] + told_jumps[j])
         if jumped or turns:
             detail = f"{name} jumps {jumped} times" if jumped else f"{name} reads {turns:+d} turns"
-            yield Fault.of("turn", detail, float(jumped + abs(turns)))
+            yield Fault.from_table("turn", detail, float(jumped + abs(turns)))
     order = _order_of(measured, desired)
     if order is not None:
         moved = [i for i, of in enumerate(order) if of != i]
         follows = (f"{names[i]} follows the command of {names[order[i]]}" for i in moved)
-        yield Fault.of("order", " and ".join(follows))
+        yield Fault.from_table("order", " and ".join(follows))
         return
     if quantum_rad is not None:
         # Steps coarser than described take a joint several ticks each.
@@ -137,19 +137,19 @@ def check_readings(
     begun = _begun(desired, 0.0)
     if not begun and max(np.ptp(measured, axis=0)) > _WIDE_RAD:
         by_rad = float(np.ptp(measured, axis=0).max())
-        yield Fault.of("frozen-desired", f"by {by_rad:.2f} rad", by_rad, "desired")
+        yield Fault.from_table("frozen-desired", f"by {by_rad:.2f} rad", by_rad, "desired")
     for j, name in enumerate(names):
         yield from _joint(measured[:, j], desired[:, j], name, begun)
         if quantum_rad and grids[j] and abs(grids[j] / quantum_rad - 1.0) > STEP_TOLERANCE:
             read = f"{name} steps by {grids[j]:.4g} rad"
-            yield Fault.of("quantum", read, grids[j], quantum_rad=quantum_rad)
+            yield Fault.from_table("quantum", read, grids[j], quantum_rad=quantum_rad)
     none = Limits.none(len(names))
     said = none if limits_rad is None else Limits(*np.array(limits_rad).T)
     yield from _beyond_limits(measured, names, said)
     ends = find_limits(None, said, none, step_rad, measured, desired)
     reached = ends.reached(names, desired)
     if reached:
-        yield Fault.of("goals", reached)
+        yield Fault.from_table("goals", reached)
 
 
 def _beyond_limits(measured: Array, names: Sequence[str], limits: Limits) -> Iterator[Fault]:
@@ -161,7 +161,9 @@ def _beyond_limits(measured: Array, names: Sequence[str], limits: Limits) -> Ite
         share = float(out.mean())
         if share > 0.5:
             far = math.degrees(float(np.median(by[out])))
-            yield Fault.of("limits", f"{name} in {share:.0%} of the samples, by {far:.0f}°", share)
+            yield Fault.from_table(
+                "limits", f"{name} in {share:.0%} of the samples, by {far:.0f}°", share
+            )
 
 
 def _units(measured: Array, desired: Array, names: Sequence[str], like: str) -> Fault | None:
@@ -175,7 +177,9 @@ def _units(measured: Array, desired: Array, names: Sequence[str], like: str) -> 
     turns = largest[j] <= (8 * math.pi) and np.ptp(measured[:, j]) < math.pi
     if largest[j] <= (2 * math.pi + 0.1) or (turns and like == "degrees"):
         return None
-    return Fault.of("units", f"{names[j]} reaches {largest[j]:.4g}", float(largest[j]), like=like)
+    return Fault.from_table(
+        "units", f"{names[j]} reaches {largest[j]:.4g}", float(largest[j]), like=like
+    )
 
 
 def _held(samples: LegMotion, names: Sequence[str], steps_rad: Sequence[float]) -> Iterator[Fault]:
@@ -185,7 +189,7 @@ def _held(samples: LegMotion, names: Sequence[str], steps_rad: Sequence[float]) 
     shares = {name: share for name, share in every if share > 0.4}
     if shares:
         most = max(shares.values())
-        yield Fault.of("held", f"{', '.join(shares)} in up to {most:.0%} of ticks", most)
+        yield Fault.from_table("held", f"{', '.join(shares)} in up to {most:.0%} of ticks", most)
 
 
 def _without_turns(angles: Array) -> tuple[Array, Ints]:
@@ -242,7 +246,7 @@ def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[F
     still = moved == 0.0 if commanded < _WIDE_RAD else moved < 0.05 * commanded
     if followed and still:
         within = "" if moved == 0.0 else f" within {moved:.3f} rad"
-        yield Fault.of(
+        yield Fault.from_table(
             "frozen",
             f"{name} reads {np.median(measured):.3f} rad all the time{within}, its command moves "
             f"by {commanded:.2f} rad",
@@ -253,13 +257,13 @@ def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[F
     far_enough = min(moved, commanded) >= 2 * _COMMANDED_RAD
     # Positions fall while commands rise.
     if followed and far_enough and np.corrcoef(measured, desired)[0, 1] < -0.7:
-        yield Fault.of("backwards", name, moved)
+        yield Fault.from_table("backwards", name, moved)
     elif off > _FAR_RAD and not begun:
-        yield Fault.of("far-still", f"{name} by {off:.2f} rad", off, "still")
+        yield Fault.from_table("far-still", f"{name} by {off:.2f} rad", off, "still")
     elif off > _FAR_RAD and begun >= _FEWEST_MOVING:
-        yield Fault.of("far", f"{name} by {off:.2f} rad in the median", off)
+        yield Fault.from_table("far", f"{name} by {off:.2f} rad in the median", off)
     glitches = measured[stray_readings(measured[:, None])[:, 0]]
     if len(glitches):
         usual = float(np.median(glitches))
         count = f"{name} {len(glitches)} of {len(measured)}, to {usual:.3f} rad in the median"
-        yield Fault.of("glitches", count, len(glitches), total=len(measured))
+        yield Fault.from_table("glitches", count, len(glitches), total=len(measured))

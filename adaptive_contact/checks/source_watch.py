@@ -106,7 +106,7 @@ class SourceWatch:
         leg, ring = self._place.leg, self._place.batch.ring[self._place.row]
         return int(ring[(leg.ring_n - min(leg.rate_ticks, leg.ring_n, RING)) % RING, 2])
 
-    def look(self, flags: int, *, predicted: bool | None) -> bool:
+    def check_source(self, flags: int, *, predicted: bool | None) -> bool:
         """Look at the readings as a swing begins or ends.
 
         Args:
@@ -121,10 +121,10 @@ class SourceWatch:
             check.restart()
         if not flags & (BEGAN | TURNED):
             return False
-        moved = bool(flags & BEGAN) and self._look_at_limits()
+        moved = bool(flags & BEGAN) and self._check_limits()
         samples = self._place.batch.kept(self._place.row, NEEDED_SAMPLES)
         begins, twin = bool(flags & BEGAN), self._find_twin(samples)
-        if check.look(leg.kept_n, samples, begins=begins, predicted=predicted, twin=twin):
+        if check.check_strides(leg.kept_n, samples, begins=begins, predicted=predicted, twin=twin):
             found, t_ns = check.found, samples.t_ns
             leg.false_readings = NONE if found is None else ECHO if found.kind == "copy" else STALE
             if found is not None:
@@ -137,25 +137,30 @@ class SourceWatch:
         batch, row = self._place.batch, self._place.row
         return Limits(batch.lower[row].copy(), batch.upper[row].copy())
 
-    def put_limits(self, limits: Limits) -> None:
+    def set_limits(self, limits: Limits) -> None:
         """Put limits in force, also for the samples that are kept."""
         batch, row, joints = self._place.batch, self._place.row, len(self._leg.joints)
         batch.lower[row], batch.upper[row] = limits
         kept = batch.kept_angles[row, :, joints:]
         kept[:] = limits.clip(kept)
 
-    def _look_at_limits(self) -> bool:
+    def _check_limits(self) -> bool:
         """Look for where the servos stop, in the samples of a minute."""
         place, limits = self._place, self.limits
         kept = place.batch.kept_angles[place.row, : place.leg.kept_n]
         measured, desired = np.split(kept, 2, axis=1)
         found = find_limits(
-            self._leg.chain, Limits.of(self._leg), limits, place.leg.quantum, measured, desired
+            self._leg.chain,
+            Limits.from_leg(self._leg),
+            limits,
+            place.leg.quantum,
+            measured,
+            desired,
         )
         ends = found.reached(self._leg.joints, desired)
         self.limits_note = SAID.format(ends=ends) if ends else None
         if found is not limits:
-            self.put_limits(found)
+            self.set_limits(found)
         return found is not limits
 
     @property
@@ -238,7 +243,7 @@ class RateWatch:
             f"{period_ms:.1f} ms; {_JITTER_CAUSES[int(leg.late)]}"
         )
 
-    def follow(self, t_ns: int, seq: int, *, restart: bool) -> int | None:
+    def update(self, t_ns: int, seq: int, *, restart: bool) -> int | None:
         """Take in the time and number of an accepted sample.
 
         Returns:

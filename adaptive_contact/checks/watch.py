@@ -12,7 +12,7 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Generic, Protocol, Self, TypeVar
 
-from adaptive_contact.checks.conventions.judge import ConventionFinding, Findings, judge_motion
+from adaptive_contact.checks.conventions.judge import ConventionFinding, Findings, check_motion
 from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.core.detect.layout import KEPT
 from adaptive_contact.core.detect.leg_batch import LegPlace
@@ -70,7 +70,7 @@ class Track(Generic[FindingT]):
         """Return copies of its newest samples; none once it is settled."""
         return self.place.batch.kept(self.place.row, 0 if self.settled else KEPT)
 
-    def take(self, found: FindingT | None, *, right: bool = False) -> None:
+    def set_finding(self, found: FindingT | None, *, right: bool = False) -> None:
         """Take what a judgement has found; ``right``: that nothing is wrong."""
         if right or (found is not None and found.agrees(self._suspected)):
             self.finding = found
@@ -114,17 +114,17 @@ class Watch(Generic[FindingT]):
         self._tracks[leg.id] = Track(place)
         return self._tracks[leg.id]
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Start a judgement if it is due after this tick, and take its result when it is there."""
         if self._pending is None:
-            self._ask()
+            self._submit_if_due()
         if self._pending is not None:
             found: Any = self._refitter.collect(self._name, self._pending)
             if found is not None:
                 self._pending = None
                 self._conclude(found)
 
-    def _ask(self) -> None:
+    def _submit_if_due(self) -> None:
         tracks = self._tracks.values()
         if not self._times or all(of.place.leg.total_n < self._times[0] for of in tracks):
             return
@@ -143,17 +143,17 @@ class Watch(Generic[FindingT]):
         confirmed = self._until_confirmed and begun.keys() <= right
         for leg, track in begun.items():
             if not track.settled:
-                track.take(found.get(leg), right=leg in right)
+                track.set_finding(found.get(leg), right=leg in right)
             track.settled |= confirmed or not self._times
 
 
-def judge_angles(robot: Robot, motions: Mapping[str, LegMotion]) -> Findings:
+def check_angles(robot: Robot, motions: Mapping[str, LegMotion]) -> Findings:
     """Find legs whose angles are counted otherwise than described; None for those that fit."""
     unknown: Findings = {leg.id: None for leg in robot.legs if leg.chain is None}
-    return unknown | judge_motion(robot, motions)
+    return unknown | check_motion(robot, motions)
 
 
 def watch_angles(robot: Robot, refitter: Refitter | None = None) -> Watch[ConventionFinding]:
     """Make the watch of how the angles of a robot are counted."""
-    judge = functools.partial(judge_angles, robot)
+    judge = functools.partial(check_angles, robot)
     return Watch(robot, refitter, "*", ANGLE_TIMES_S, judge, until_confirmed=True)

@@ -69,7 +69,9 @@ def check_live(
                 err=True,
             )
         with _shown(check, console, quiet=json) as refresh:
-            elapsed = listen(link, ALL_SERVO, seconds, check.take, stop=stop, on_poll=refresh)
+            elapsed = listen(
+                link, ALL_SERVO, seconds, check.process_message, stop=stop, on_poll=refresh
+            )
     report = check.report(elapsed)
     if json:
         print_json(report)
@@ -361,7 +363,7 @@ def _check_bus(
         def add_samples(so_far: dict[str, list[ServoSample]]) -> None:
             for leg, rows in so_far.items():
                 for row in rows[taken[leg] :]:
-                    check.take_sample(leg, row)
+                    check.add_sample(leg, row)
                 taken[leg] = len(rows)
             refresh()
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from adaptive_contact.checks.findings import REFUSED_FOR, SPOILS, Finding, of_legs
+from adaptive_contact.checks.findings import REFUSED_FOR, SPOILS, Finding, name_legs
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._console import table_console
 from adaptive_contact.cli._options import option
@@ -214,9 +214,9 @@ def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> Gath
     if strangers:
         absent = [name for name, leg in legs.items() if not leg.samples]
         print_note(
-            f"not used: {of_legs(sorted(strangers))}, which robot "
+            f"not used: {name_legs(sorted(strangers))}, which robot "
             f"'{robot.name}' lacks"
-            + (f"; it has {of_legs(absent)}, of which there are no samples" if absent else "")
+            + (f"; it has {name_legs(absent)}, of which there are no samples" if absent else "")
             + "; give the --config of the robot that was recorded"
         )
     _tell_unused(legs, causes, robot.period_s)
@@ -242,7 +242,7 @@ def _tell_unused(
             left_out.setdefault(why, {})[name] = leg.off_rate
     for why, times_of in left_out.items():
         total = sum(times_of.values())
-        print_note(f"{of_legs(times_of)}: {total} samples not used: {why}")
+        print_note(f"{name_legs(times_of)}: {total} samples not used: {why}")
 
 
 def check_streams(
@@ -280,7 +280,7 @@ def check_streams(
             spoilt.update(dict.fromkeys(finding.legs))
     if spoilt and refuse:
         raise ConfigurationError(
-            f"{of_legs(spoilt)}: the readings are not those of the robot '{robot.name}' (above); "
+            f"{name_legs(spoilt)}: the readings are not those of the robot '{robot.name}' (above); "
             "nothing is learned from them: correct the source or robot.toml and record again, or "
             "give --anyway"
         )
@@ -289,7 +289,7 @@ def check_streams(
 
 def print_finding(finding: Finding, of: str = "") -> None:
     """Print one thing that is wrong, after what it is of."""
-    legs = f"{of_legs(finding.legs)}: " if finding.legs else ""
+    legs = f"{name_legs(finding.legs)}: " if finding.legs else ""
     print_note(f"{of}{finding.level}: {legs}{finding.what}; {finding.remedy}")
 
 
@@ -309,10 +309,10 @@ def check_conventions(
         ConfigurationError: there is such a leg; a wrong yaw alone, or a zero that is little off, is
             said only.
     """
-    from adaptive_contact.checks.leg_ids import judge_recorded_ids
+    from adaptive_contact.checks.leg_ids import check_recorded_ids
     from adaptive_contact.fit.recordings import compare_conventions
 
-    for leg, line in judge_recorded_ids(
+    for leg, line in check_recorded_ids(
         robot, {leg: one.last_run() for leg, one in gathered.items()}
     ).items():
         print_note(f"leg '{leg}': {line}")

@@ -311,8 +311,8 @@ class LearnerBank:
     def learn_from_tick(self) -> None:
         """Learn from the tick; statuses and states are complete after it."""
         self._group.learn_from_tick()
-        self._conventions.look()
-        self._ids.look()
+        self._conventions.poll()
+        self._ids.poll()
 
 
 def compile_ahead() -> None:

@@ -194,7 +194,7 @@ class ContactLearner:
             if flags & EVENTS:
                 event = self.event_of(flags)
             self._end_tick()
-        self._conventions.look()
+        self._conventions.poll()
         return event
 
     def reset_after_fault(self, fault: Exception) -> None:
@@ -313,7 +313,7 @@ class ContactLearner:
         self._guard.restore(saved.get("stream"), saved.get("missed"))
         limits = Limits.saved(saved.get("limits"), len(self.leg.joints))
         if limits is not None:
-            self.report.source.put_limits(limits)
+            self.report.source.set_limits(limits)
         return None
 
     # -- one tick, in the order of its calls ----------------------------------------------------
@@ -377,7 +377,7 @@ class ContactLearner:
             self._standing.end_stance()
         if flags & (BEGAN | TURNED | RESTARTED):
             predicted = None if adapter is None else adapter.monitor.predicts
-            if self.report.source.look(flags, predicted=predicted):
+            if self.report.source.check_source(flags, predicted=predicted):
                 lifecycle.start()
                 self._forget_swings()
                 return True

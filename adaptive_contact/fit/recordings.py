@@ -25,8 +25,8 @@ from adaptive_contact.arrays import Array, Ints, Mask
 from adaptive_contact.checks.conventions.judge import (
     ConventionFinding,
     Findings,
-    judge_hanging,
-    judge_motion,
+    check_hanging,
+    check_motion,
 )
 from adaptive_contact.checks.limits import Limits, find_limits
 from adaptive_contact.checks.motion import LegMotion
@@ -91,7 +91,7 @@ class LegGatherer:
             self.rejects[result] += 1
             return
         sample = self._seams.unwrap(sample, restart=result.restart)
-        missed = self._rate.follow(sample.t_ns, sample.seq, restart=result.restart)
+        missed = self._rate.update(sample.t_ns, sample.seq, restart=result.restart)
         if result.restart:  # as the first sample is
             self._runs.append(_Run([], [[]]))
         run = self._runs[-1]
@@ -125,7 +125,7 @@ class LegGatherer:
         if len(motion.t_ns):
             self._limits = find_limits(
                 self.leg.chain,
-                Limits.of(self.leg),
+                Limits.from_leg(self.leg),
                 self._limits,
                 ASSUMED_STEP_RAD,
                 motion.measured,
@@ -142,7 +142,7 @@ class LegGatherer:
     def motion(self) -> LegMotion:
         """Return all samples that were collected, in order of time."""
         rows = [row for run in self._runs for stretch in run.stretches for row in stretch]
-        return LegMotion.of_samples(sorted(rows, key=lambda row: row.t_ns))
+        return LegMotion.from_samples(sorted(rows, key=lambda row: row.t_ns))
 
     def last_run(self) -> list[ServoSample]:
         """Return the samples of the last start of the source, in order."""
@@ -315,8 +315,8 @@ def compare_conventions(
     # The first finding of a leg stays, unless a minute confirms it.
     for first in firsts:
         parts_of = {leg: m.between(first, first + JUDGED_NS) for leg, m in motions.items()}
-        for leg, finding in judge_motion(robot, parts_of).items():
+        for leg, finding in check_motion(robot, parts_of).items():
             found[leg] = finding and found.get(leg, finding)
-    for leg, finding in judge_hanging(robot, motions).items() if hangs else ():
+    for leg, finding in check_hanging(robot, motions).items() if hangs else ():
         found.setdefault(leg, finding)
     return [finding for finding in found.values() if finding is not None]

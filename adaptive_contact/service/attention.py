@@ -77,7 +77,7 @@ class Attention:
                 self._grown_ns[name] = now_ns
             self._counts[name] = times
             if times and now_ns - self._grown_ns.get(name, -_SHOWN_NS) < _SHOWN_NS:
-                yield Fault.of(name, key=name, times=times)
+                yield Fault.from_table(name, key=name, times=times)
 
 
 def _faults(
@@ -90,7 +90,7 @@ def _faults(
         if status is None:
             continue
         if leg.stale:
-            yield leg.leg, Fault.of("unreported-page")
+            yield leg.leg, Fault.from_table("unreported-page")
         else:
             # Older refusals are counted in the leg's row.
             for fault in about_learner(status, status, service, set()):
@@ -107,7 +107,7 @@ def _list_service_faults(service: ServiceStatus) -> Iterator[Fault]:
         yield Fault("error", "key", f"nobody reads {key}", question, key=key)
     if service.state is not None:
         for line in service.state.refused:
-            yield Fault.of("state_refused-page", key=line, line=line)
+            yield Fault.from_table("state_refused-page", key=line, line=line)
         if service.state.exposed is not None:
             yield Fault("error", "service", service.state.exposed, "As it says.", key="exposed")
 

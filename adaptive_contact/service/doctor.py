@@ -181,7 +181,7 @@ def _faults(
     yield from strays
     published = seen.samples.keys() | seen.refused.keys()
     if not published and not any(fault.cause == "key" for _, fault in strays):
-        yield None, Fault.of("nobody_publishes")
+        yield None, Fault.from_table("nobody_publishes")
         return
     known = [leg for leg, facts in described.items() if facts.described]
     if known and service is not None:
@@ -191,7 +191,7 @@ def _faults(
     unexplained: list[str] = []
     for leg in [*described, *sorted(published - set(described))]:
         if leg not in published and leg in described and not described[leg].described:
-            yield leg, Fault.of("silent-gone", key=leg)
+            yield leg, Fault.from_table("silent-gone", key=leg)
             continue
         of_leg = check_leg(
             leg,
@@ -212,7 +212,7 @@ def _faults(
             noted = {fault.cause for fault in of_leg}
             of_leg += about_learner(*seen.learners[leg], service, noted, count)
         elif service is not None:
-            of_leg.append(Fault.of("unreported", seconds=seconds))
+            of_leg.append(Fault.from_table("unreported", seconds=seconds))
         for fault in of_leg:
             yield leg, fault
     statuses = [seen.learners[leg][1] for leg in unexplained if leg in seen.learners]
@@ -221,22 +221,22 @@ def _faults(
 
 def _about_service(seen: Examination, alive: bool) -> Iterator[Fault]:
     if not alive:
-        yield Fault.of("no_service")
+        yield Fault.from_table("no_service")
         return
     if seen.service is None:
-        yield Fault.of("service_quiet")
+        yield Fault.from_table("service_quiet")
         return
     before, service = seen.service
     taken = service.samples - before.samples
     for reason, times in service.rejects.items():
         known = before.rejects.get(reason, 0)
         level = _still(times, known)
-        fault = Fault.of("strange_leg", key=reason, level=level, times=times, reason=reason)
+        fault = Fault.from_table("strange_leg", key=reason, level=level, times=times, reason=reason)
         yield fault._replace(size=times - known, total=taken)
     if service.note is not None:
-        yield Fault.of("service-note", key="note", note=service.note)
+        yield Fault.from_table("service-note", key="note", note=service.note)
     for line in [] if service.state is None else service.state.refused:
-        yield Fault.of("state_refused", key=line, line=line)
+        yield Fault.from_table("state_refused", key=line, line=line)
     slow, late = service.slow_puts - service.late_puts, service.late_puts
     counts: list[tuple[str, int, Level | None]] = [
         ("service-callback_faults", service.callback_faults, None),
@@ -247,7 +247,7 @@ def _about_service(seen: Examination, alive: bool) -> Iterator[Fault]:
     ]
     for name, times, how in counts:
         if times:
-            yield Fault.of(name, key=name, level=how, times=times)
+            yield Fault.from_table(name, key=name, level=how, times=times)
 
 
 def _about_keys(seen: Examination, seconds: float) -> _Faults:
@@ -256,7 +256,7 @@ def _about_keys(seen: Examination, seconds: float) -> _Faults:
         if stray is not None:
             yield stray
     if seen.uncounted_keys:
-        yield None, Fault.of("too_many_keys", kept=_KEYS_KEPT, messages=seen.uncounted_keys)
+        yield None, Fault.from_table("too_many_keys", kept=_KEYS_KEPT, messages=seen.uncounted_keys)
 
 
 def _stray(key: str, shown: str) -> tuple[str | None, Fault] | None:
@@ -265,16 +265,16 @@ def _stray(key: str, shown: str) -> tuple[str | None, Fault] | None:
         return None
     namespace = namespace_of(key)
     if namespace:
-        return None, Fault.of("namespace", shown, key=namespace, namespace=namespace)
+        return None, Fault.from_table("namespace", shown, key=namespace, namespace=namespace)
     meant = meant_key(key)
     if meant is not None:
         name = "key" if meant.endswith("/servo") else "other_key"
         leg = leg_of_key(meant) or ""
         # One entry for all legs whose keys are misspelt in the same way.
-        return leg, Fault.of(name, shown, key=key.replace(leg, "LEG"), meant=meant)
+        return leg, Fault.from_table(name, shown, key=key.replace(leg, "LEG"), meant=meant)
     if "robot/leg/" not in key:
         return None
-    return None, Fault.of("other_key-leg", shown, key="leg")
+    return None, Fault.from_table("other_key-leg", shown, key="leg")
 
 
 def _still(now: int, before: int) -> Level:

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from typing import Final
 
-from adaptive_contact.checks.findings import EXPLAINS, Fault, entries, of_legs
+from adaptive_contact.checks.findings import EXPLAINS, Fault, entries, name_legs
 from adaptive_contact.checks.legcheck import check_leg
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.recording import Record
@@ -117,7 +117,7 @@ class OneRobot:
         for finding in entries(
             (leg, fault) for leg, fault in faults if leg not in signs or fault.cause not in explains
         ):
-            legs = f"{of_legs(finding.legs)}: " if finding.legs else ""
+            legs = f"{name_legs(finding.legs)}: " if finding.legs else ""
             lines.append(f"{legs}{finding.what}; {finding.remedy}")
         return lines
 

@@ -39,7 +39,7 @@ def test_every_figure_is_given() -> None:
     given_by, beside = 0, {"detail", "size", "key", "level", "total"}
     for path, text in _checks():
         for call in ast.walk(ast.parse(text)):
-            if not (isinstance(call, ast.Call) and ast.unparse(call.func) == "Fault.of"):
+            if not (isinstance(call, ast.Call) and ast.unparse(call.func) == "Fault.from_table"):
                 continue
             names = [n.value for n in ast.walk(call.args[0]) if isinstance(n, ast.Constant)]
             given = {str(keyword.arg) for keyword in call.keywords} - beside

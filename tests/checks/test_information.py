@@ -86,7 +86,7 @@ def played(
     all_of = made(y, u, swing)
     for at in (np.flatnonzero(np.diff(swing.astype(int))) + 2).tolist():
         newest = all_of.part(np.s_[max(at - NEEDED_SAMPLES, 0) : at])
-        if check.look(at, newest, begins=bool(swing[at - 1]), predicted=predicted):
+        if check.check_strides(at, newest, begins=bool(swing[at - 1]), predicted=predicted):
             said.append((at, check.found and check.found.kind))
     return check, said
 
@@ -249,7 +249,7 @@ def test_lost_samples_and_spoilt_readings_hide_nothing_and_accuse_nobody() -> No
         rows = LegMotion(np.flatnonzero(kept), np.flatnonzero(kept), y[kept], u[kept])
         for at in (np.flatnonzero(np.diff(swing[kept].astype(int))) + 2).tolist():
             newest = rows.part(np.s_[max(at - NEEDED_SAMPLES, 0) : at])
-            if check.look(at, newest, begins=bool(swing[kept][at - 1])) and check.found:
+            if check.check_strides(at, newest, begins=bool(swing[kept][at - 1])) and check.found:
                 said.append(check.found.kind)
         assert said == kinds
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactLearner, load_baseline
-from adaptive_contact.checks.conventions.judge import judge_motion
+from adaptive_contact.checks.conventions.judge import check_motion
 from adaptive_contact.cli.fit import gather
 from adaptive_contact.fit.recordings import LegGatherer
 from adaptive_contact.fit.train import learn
@@ -65,7 +65,7 @@ def test_feet_that_hang_accuse_no_angles(robot: Robot) -> None:
     for begin in range(first, last, 11 * S):
         part = {leg: one.between(begin, begin + 6 * S) for leg, one in motions.items()}
         if all(len(one.t_ns) > 100 for one in part.values()):
-            assert not any(judge_motion(robot, part).values()), begin
+            assert not any(check_motion(robot, part).values()), begin
 
 
 @pytest.mark.parametrize(("leg_id", "stopped"), [("fl", 40), ("fr", 65)])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact.checks.findings import Cause
-from adaptive_contact.checks.leg_ids import judge_recorded_ids
+from adaptive_contact.checks.leg_ids import check_recorded_ids
 from adaptive_contact.checks.legcheck import check_recording
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Mount, shipped_robot
@@ -278,10 +278,10 @@ def of_legs(messages: list[m.Sent]) -> dict[str, list[ServoSample]]:
 
 def test_without_models_feet_that_stand_tell_ids(walk: list[m.Sent]) -> None:
     robot, samples = ROBOT, of_legs(m.last(walk, 20.0))
-    assert judge_recorded_ids(robot, samples) == {}
+    assert check_recorded_ids(robot, samples) == {}
     for name, swap in SWAPS.items():
         swapped = {swap.get(leg, leg): rows for leg, rows in samples.items()}
-        lines = judge_recorded_ids(robot, swapped)
+        lines = check_recorded_ids(robot, swapped)
         # Turned by half a turn, this body looks the same.
         assert sorted(lines) == ([] if name == "half a turn" else sorted(swap)), name
         for leg, line in lines.items():
@@ -295,7 +295,7 @@ def test_no_ids_are_told_without_mounts_nor_of_legs_that_hang_or_move_as_they_li
     samples = of_legs(m.last(walk, 20.0))
     swapped = {SWAPS["neighbours"].get(leg, leg): rows for leg, rows in samples.items()}
     bare = tuple(msgspec.structs.replace(leg, mount=Mount()) for leg in ROBOT.legs)
-    assert judge_recorded_ids(msgspec.structs.replace(ROBOT, legs=bare), swapped) == {}
+    assert check_recorded_ids(msgspec.structs.replace(ROBOT, legs=bare), swapped) == {}
     hung, wild = dict[str, list[ServoSample]](), dict[str, list[ServoSample]]()
     for number, (leg, rows) in enumerate(swapped.items()):
         steps = np.random.default_rng(number).normal(0.0, 0.01, (len(rows), 3))
@@ -305,7 +305,7 @@ def test_no_ids_are_told_without_mounts_nor_of_legs_that_hang_or_move_as_they_li
             msgspec.structs.replace(s, measured=at, desired=at)
             for s, at in zip(rows, own, strict=True)
         ]
-    assert judge_recorded_ids(ROBOT, hung) == judge_recorded_ids(ROBOT, wild) == {}
+    assert check_recorded_ids(ROBOT, hung) == check_recorded_ids(ROBOT, wild) == {}
 
 
 def yaw_turned(messages: list[m.Sent]) -> list[m.Sent]:
@@ -319,6 +319,6 @@ def yaw_turned(messages: list[m.Sent]) -> list[m.Sent]:
 def test_a_yaw_of_the_wrong_sign_is_no_swap_where_models_tell(walk: list[m.Sent]) -> None:
     diagnosis = listen(yaw_turned(walk), ROBOT, BASELINE)
     assert causes(diagnosis) == ["signs"], diagnosis.findings
-    lines = judge_recorded_ids(ROBOT, of_legs(yaw_turned(m.last(walk, 20.0))))
+    lines = check_recorded_ids(ROBOT, of_legs(yaw_turned(m.last(walk, 20.0))))
     assert sorted(lines) == ["lf", "rf"]
     assert all("as likely, the yaw angles grow the wrong way" in line for line in lines.values())

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from adaptive_contact import ContactEvent, ContactLearner, ServoSample
-from adaptive_contact.checks.conventions.judge import judge_motion
+from adaptive_contact.checks.conventions.judge import check_motion
 from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.model import Baseline, shipped_baseline
 from adaptive_contact.model.model_file import dump_baseline, parse_baseline
@@ -86,7 +86,7 @@ def test_a_chain_that_is_upside_down_is_found() -> None:
     seq = np.arange(len(desired))
     motion = LegMotion(seq * PERIOD, seq, desired, desired, swing)
     right, wrong = (
-        judge_motion(Robot(name="r", period_s=0.02, quantum_rad=0.005, legs=(leg,)), {"fl": motion})
+        check_motion(Robot(name="r", period_s=0.02, quantum_rad=0.005, legs=(leg,)), {"fl": motion})
         for leg in legs
     )
     assert "fl" not in right or right["fl"] is None

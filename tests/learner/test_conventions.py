@@ -13,8 +13,8 @@ from adaptive_contact import ContactEvent, LearnerBank, ServoSample
 from adaptive_contact.checks.conventions.judge import (
     ConventionFinding,
     Findings,
-    judge_hanging,
-    judge_motion,
+    check_hanging,
+    check_motion,
 )
 from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.model import shipped_baseline
@@ -83,7 +83,7 @@ def accused_of(
     run: Run, turns: Mapping[str, Turn], *, phase: bool, mounts: bool
 ) -> list[ConventionFinding]:
     motions = turned(motions_of(run), turns, phase=phase)
-    return accused(judge_motion(robot(mounts=mounts), motions))
+    return accused(check_motion(robot(mounts=mounts), motions))
 
 
 @pytest.mark.parametrize("mounts", [True, False])
@@ -165,7 +165,7 @@ def test_angles_are_judged_by_feet_that_carry(femur_rad: float, judged: bool) ->
         read = leg.desired + np.array([0.0, femur_rad, 0.0])  # pushed up, or hanging below
         t_ns, seq = np.asarray(run.t_ns), np.arange(len(run.t_ns))
         motions[name] = LegMotion(t_ns, seq, turn(read), turn(leg.desired), leg.swing.copy())
-    found = accused(judge_motion(robot(mounts=True), motions))
+    found = accused(check_motion(robot(mounts=True), motions))
     by_feet = [one.leg for one in found if "feet that stand" in one.message]
     assert by_feet == (list(LEGS) if judged else [])
 
@@ -262,13 +262,13 @@ def quadruped(name: str) -> Mapping[str, LegMotion]:
     rows: dict[str, list[ServoSample]] = {}
     for leg, sample in recorded(name)[0]:
         rows.setdefault(leg, []).append(sample)
-    return {leg: LegMotion.of_samples(own) for leg, own in rows.items()}
+    return {leg: LegMotion.from_samples(own) for leg, own in rows.items()}
 
 
 def accused_quadruped(name: str, sign: int, *, phase: bool) -> list[ConventionFinding]:
     turns = dict.fromkeys(quadruped(name), functools.partial(np.multiply, sign))
     motions = turned(quadruped(name), turns, phase=phase)
-    return accused(judge_motion(shipped_robot("quadruped"), motions))
+    return accused(check_motion(shipped_robot("quadruped"), motions))
 
 
 @pytest.mark.parametrize("name", ["free", "collisions"])
@@ -292,7 +292,7 @@ def accused_hanging(
 ) -> list[ConventionFinding]:
     turns = dict.fromkeys(legs, functools.partial(np.multiply, signs))
     motions = turned(hanging_walk(gait), turns, phase=phase)
-    return accused(judge_motion(shipped_robot("quadruped12"), motions))
+    return accused(check_motion(shipped_robot("quadruped12"), motions))
 
 
 @pytest.mark.parametrize("phase", [True, False])
@@ -332,7 +332,7 @@ def test_gravity_shows_pitch_that_is_turned_round_and_no_single_joint(leg: str, 
     def judged(*signs: int) -> Findings:
         own = {leg: hung(leg, seed)}
         turns = {leg: functools.partial(np.multiply, signs)}
-        return judge_hanging(shipped_robot(), turned(own, turns, phase=False))
+        return check_hanging(shipped_robot(), turned(own, turns, phase=False))
 
     assert judged(1, 1, 1) == {leg: None}
     found = judged(1, -1, -1)[leg]

@@ -20,8 +20,8 @@ def test_where_readings_are_known_to_be_late_a_late_tick_is_one_without_a_readin
     rate = RateWatch(STEP)
     observe(rate)
     for k in range(8):  # its schedule settles
-        rate.follow(k * STEP + 10**9, 100 + k, restart=k == 0)
-    assert rate.follow(7 * STEP + 10**9 + step * 1_000_000, 108, restart=False) == missed
+        rate.update(k * STEP + 10**9, 100 + k, restart=k == 0)
+    assert rate.update(7 * STEP + 10**9 + step * 1_000_000, 108, restart=False) == missed
 
 
 @pytest.mark.parametrize("ticks", [4, 5, 8, 12])
@@ -42,7 +42,7 @@ def test_ticks_of_a_burst_are_counted_by_their_numbers(
     for k in range(first, 40 * ticks):
         late = 50 * STEP if k >= pause else 0
         t_ns = arrived[k // ticks] + k % ticks * 300_000 + late
-        missed.append(rate.follow(t_ns, k, restart=k == first))
+        missed.append(rate.update(t_ns, k, restart=k == first))
         at.append(rate.leg.at_ns)
     settled = 3 * ticks - first
     others = [m for k, m in enumerate(missed) if k >= settled and k != pause - first]
@@ -59,7 +59,7 @@ def test_a_stall_that_is_made_up_for_is_no_burst_for_long() -> None:
     for k in range(200):
         stalled = 100 <= k < 106
         t_ns = (105 if stalled else k) * STEP + k % 6 * 300_000 * stalled
-        assert rate.follow(t_ns, k, restart=k == 0) in ((0,) if k != 100 else (0, None))
+        assert rate.update(t_ns, k, restart=k == 0) in ((0,) if k != 100 else (0, None))
         assert rate.burst == 0
 
 
@@ -68,7 +68,7 @@ def observe(rate: RateWatch, ticks: int = 60) -> None:
     rng = np.random.default_rng(0)
     moved, sigma, leg = np.array([0.08, -0.05]), np.array([0.004, 0.004]), rate.own[0]
     for k in range(ticks):
-        rate.follow(k * STEP + round(rng.uniform(0, STEP / 4)), k, restart=k == 0)
+        rate.update(k * STEP + round(rng.uniform(0, STEP / 4)), k, restart=k == 0)
         stretch = float(rate.leg.stretch)
         if stretch:
             # Where readings are known to be late they are moved to their ticks, and leave nothing.
@@ -90,7 +90,7 @@ def test_of_stamps_that_jitter_the_mean_tells_the_rate(
     rate = RateWatch(STEP)
     off = []
     for k, stamp in enumerate(t_ns.astype(int).tolist()):
-        assert rate.follow(stamp, k, restart=k == 0) == 0
+        assert rate.update(stamp, k, restart=k == 0) == 0
         off.append(bool(rate.leg.rate_off))
     if abs(wrong) < 0.10:
         assert not any(off)
@@ -104,7 +104,7 @@ def test_the_schedule_follows_the_stamps_and_never_runs_back(off: list[float]) -
     rate = RateWatch(STEP)
     before = 0
     for k, by in enumerate(off):
-        assert rate.follow(round((k + 1 + by) * STEP), k, restart=k == 0) == 0
+        assert rate.update(round((k + 1 + by) * STEP), k, restart=k == 0) == 0
         if k:
             assert 0.8 * STEP < rate.leg.at_ns - before < 1.2 * STEP
         before = rate.leg.at_ns

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from adaptive_contact.checks.conventions.judge import ConventionFinding, judge_motion
+from adaptive_contact.checks.conventions.judge import ConventionFinding, check_motion
 from adaptive_contact.checks.motion import LegMotion
 from adaptive_contact.robot import shipped_robot
 
@@ -45,7 +45,7 @@ def motions(gait: str, turn: Callable = np.array, *, phase: bool) -> dict[str, L
 
 
 def accused(gait: str, turn: Callable = np.array, *, phase: bool) -> list[ConventionFinding]:
-    found = judge_motion(shipped_robot("quadruped"), motions(gait, turn, phase=phase))
+    found = check_motion(shipped_robot("quadruped"), motions(gait, turn, phase=phase))
     return [finding for finding in found.values() if finding is not None]
 
 

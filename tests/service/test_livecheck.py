@@ -70,7 +70,7 @@ def turned(samples: list[tuple[str, ServoSample]], turn: Callable) -> list[tuple
 def report(samples: list[tuple[str, ServoSample]], robot: Robot | None = None) -> LiveReport:
     check = LiveCheck(robot or shipped_robot())
     for leg, one in samples:
-        check.take(received(leg, one))
+        check.process_message(received(leg, one))
     return check.report(TICKS * PERIOD_NS / 1e9)
 
 
@@ -119,7 +119,7 @@ def moved(*poses: Sequence[float], leg: str = "lf", robot: Robot | None = None) 
     for k, pose in enumerate(poses):
         start = np.array(poses[max(k - 1, 0)])
         for share in (*np.linspace(0, 1, 50), *[1.0] * 25):
-            check.take(
+            check.process_message(
                 received(leg, sample(seq, (start + share * (np.array(pose) - start)).tolist()))
             )
             seq += 1

@@ -114,10 +114,10 @@ class Walker:
         choices = [(1, -1) if joint in free else (1,) for joint in range(joints)]
         self.signs = [self.plain._replace(directions=of) for of in itertools.product(*choices)]
         self.lag = max(round(LAG_S / period_s), 1)
-        self.place = functools.lru_cache(_PLACES)(self._place)
+        self.place = functools.lru_cache(_PLACES)(self._locate)
         self.stands = functools.lru_cache(_PLACES)(self._stands)
 
-    def _place(self, reading: Reading) -> Array:
+    def _locate(self, reading: Reading) -> Array:
         """(n, 3) m, the commanded foot on the body."""
         return self.leg.on_body(self.chain.foot(reading.angles(self.motion.desired)))
 
@@ -165,7 +165,7 @@ class Walker:
 
     def within(self, reading: Reading) -> bool:
         """Whether commands stay within the joints' limits, where there are any."""
-        turned, limits = reading.angles(self.motion.desired), Limits.of(self.leg)
+        turned, limits = reading.angles(self.motion.desired), Limits.from_leg(self.leg)
         inside = (turned >= limits.lower) & (turned <= limits.upper)
         return bool(inside.all(axis=1).mean() >= SURE_SHARE)
 

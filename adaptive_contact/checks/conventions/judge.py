@@ -93,7 +93,7 @@ class ConventionFinding:
 Findings = dict[str, ConventionFinding | None]
 
 
-def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Findings:
+def check_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Findings:
     """Judge signs, order and zeros of all legs that have a geometry.
 
     Args:
@@ -128,7 +128,7 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Findings:
     return found
 
 
-def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Findings:
+def check_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Findings:
     """Judge the signs of legs that hang free, from what gravity does to them at rest.
 
     A servo holds a leg a little below its command: an AX-12A gives way by four to five steps at the

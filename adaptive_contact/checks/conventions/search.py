@@ -96,13 +96,13 @@ class Search:
         elif signs := self.signs():
             return signs
         else:
-            found = self._order(self._all) or self._of_one_leg() or self._zeros_from_anywhere()
+            found = self._order(self._all) or self._change_one_leg() or self._zeros_from_anywhere()
         return {leg.leg.id: Chosen(_settled(r)) for leg, r in zip(self._legs, found, strict=False)}
 
     def _order(self, group: Sequence[int]) -> Readings:
         """Another order of joints, with any signs, the same for a group of legs."""
         # Orders of so many joints are tried.
-        if not self._of_a_kind(group) or len(self._plain[group[0]].order) > 4:
+        if not self._are_alike(group) or len(self._plain[group[0]].order) > 4:
             return []
         first = self._legs[group[0]]
         orders, signs = itertools.permutations(first.plain.order), first.signs
@@ -111,7 +111,7 @@ class Search:
         tried = [_Tried(self._cost(readings, group), readings) for readings in sane]
         return _only(tried, BETTER, LOOSE**2)
 
-    def _of_one_leg(self) -> Readings:
+    def _change_one_leg(self) -> Readings:
         """Another order of the worst leg's joints, or another zero of one of them."""
         worst = self._only_wrong()
         return self._order(worst) or self._zero_of_one_joint(worst, ZERO_STARTS)
@@ -153,7 +153,7 @@ class Search:
     def _zeros_from_anywhere(self) -> Readings:
         """Signs and zeros, the same for all legs, from starts all over their range."""
         grid = self._legs[0].grid
-        if (grid[-1] - grid[0]) * self._period_s < LEAST_S or not self._of_a_kind(self._all):
+        if (grid[-1] - grid[0]) * self._period_s < LEAST_S or not self._are_alike(self._all):
             return []
         starts = [
             reading
@@ -178,7 +178,7 @@ class Search:
 
     def _zeros_of_all(self, starts: Readings) -> Readings:
         """Zeros, the same for all legs, near any of the starts."""
-        if not self._of_a_kind(self._all):
+        if not self._are_alike(self._all):
             return []
         joints = range(len(self._plain[0].order))
         fits = [self._fitted(self._all, reading, joints) for reading in starts]
@@ -223,7 +223,7 @@ class Search:
             By leg, empty for none: of every leg the description's reading where it explains the
             motion and no other does; of the legs concerned another where the description does not.
         """
-        if not self._of_a_kind(self._all):
+        if not self._are_alike(self._all):
             return {}
         legs, described = self._legs, tuple(self._plain)
         tried = {
@@ -264,7 +264,7 @@ class Search:
 
     # -- helpers ---------------------------------------------------------------------------------
 
-    def _of_a_kind(self, group: Sequence[int]) -> bool:
+    def _are_alike(self, group: Sequence[int]) -> bool:
         """Whether one reading can hold for these legs."""
         return len({self._legs[k].leg.joint_axes for k in group}) == 1
 
