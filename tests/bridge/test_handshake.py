@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -274,13 +272,12 @@ def test_a_write_counts_that_is_in_the_register(bus: Serve, model: str) -> None:
     assert "port main: servo 2: return delay set to 0" in again.advice
 
 
-def test_several_things_that_are_wrong_are_a_line_each(bus: Serve) -> None:
+def test_several_things_that_are_wrong_are_a_line_each(bus: Serve, start: Callable) -> None:
     device, _ = bus("1-2:AX-12A", "1:AX-12A:at=0.4", "252:AX-12A")
     path = write(device.parent / "robot.toml", robot(device, ((1, 2, 3), "AX-12A"), timeout_ms=10))
-    words = [sys.executable, "-m", "adaptive_contact", "robot", "check", "--config", str(path)]
-    ended = subprocess.run(words, capture_output=True, text=True, timeout=600)
-    assert ended.returncode == 2
-    first, *others = ended.stderr.splitlines()
+    check = start("robot", "check", "--config", str(path))
+    assert check.wait(600) == 2
+    first, *others = check.lines
     assert first == "adaptive-contact: 3 things stand in the way of the bridge:"
     assert [line[:4] for line in others] == ["  - "] * 3
     assert "missing servo 3 (l0 j2)" in others[0]

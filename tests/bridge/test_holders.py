@@ -7,9 +7,9 @@ import fcntl
 import os
 import struct
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -44,18 +44,14 @@ def opened() -> Iterator[contextlib.ExitStack]:
 
 
 @pytest.fixture
-def holding() -> Iterator[Holding]:
+def holding(program: Callable[..., Any]) -> Holding:
     """A process that has files open and does nothing."""
-    running = []
+    waits = "import signal; signal.pause()"
 
     def start(*files: int) -> int:
-        command = [sys.executable, "-c", "import sys; sys.stdin.read()"]
-        running.append(subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=files))
-        return running[-1].pid
+        return program("-c", waits, pass_fds=files).process.pid
 
-    yield start
-    for process in running:
-        process.communicate(b"", timeout=30)
+    return start
 
 
 def pair_of(folder: Path, index: int, opened: contextlib.ExitStack) -> tuple[int, int]:

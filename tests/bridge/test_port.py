@@ -5,11 +5,10 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from described import AX
@@ -55,24 +54,22 @@ def test_a_port_in_use(rig: Callable, opened: Callable) -> None:
     first.close()
 
 
-def test_a_port_that_other_software_uses_without_a_lock(rig: Callable, opened: Callable) -> None:
+def test_a_port_that_other_software_uses_without_a_lock(
+    rig: Callable, opened: Callable, program: Callable[..., Any]
+) -> None:
     """The SDK as it comes, in a process of its own: it locks nothing."""
     r = rig(**AX)
     device = r.plans[0].port.device
     script = (
-        "import sys, dynamixel_sdk as sdk\n"
+        "import signal, dynamixel_sdk as sdk\n"
         f"port = sdk.PortHandler({device!r}); port.setBaudRate(1000000)\n"
-        "print('open', flush=True); sys.stdin.read()"
+        "print('open'); signal.pause()"
     )
-    other = subprocess.Popen(
-        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
-    try:
-        assert other.stdout.readline() == "open\n"
-        with pytest.raises(BusError, match=rf"in use by python\S* \(process {other.pid}\)"):
-            opened(r)
-    finally:
-        other.communicate("")
+    other = program("-c", script)
+    other.wait_line("open")
+    with pytest.raises(BusError, match=rf"in use by python\S* \(process {other.process.pid}\)"):
+        opened(r)
+    other.close()
     opened(r).close()
 
 

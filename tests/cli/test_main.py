@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,15 +32,11 @@ def ran(*words: str, **options: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, text=True, env=WIDE, timeout=600, check=False, **given)  # type: ignore[call-overload,no-any-return]
 
 
-def ours(*words: str, **options: object) -> subprocess.CompletedProcess[str]:
-    return ran("-m", "adaptive_contact", *words, **options)
-
-
-def test_no_command_is_the_help() -> None:
+def test_no_command_is_the_help(ours: Callable[..., Any]) -> None:
     for words in ([], ["sim"]):
         done = ours(*words)
-        assert "Usage:" in done.stdout + done.stderr
-        assert "Traceback" not in done.stderr
+        assert "Usage:" in done.out + done.err
+        assert "Traceback" not in done.err
 
 
 @pytest.mark.parametrize("where", ["load_commands", "app"])

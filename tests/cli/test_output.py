@@ -259,20 +259,13 @@ OTHERS = {
 }
 
 
-@pytest.fixture
-def said(monkeypatch: Any, tmp_path: Path, ours: Any) -> Any:
-    """Run a command in an empty folder: its exit code, and what it says on standard error."""
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
-
-    def run(*words: str) -> tuple[int, str]:
-        code, _, err = ours(*words)
-        return code, err
-
-    return run
 
 
 @pytest.mark.parametrize("where", WRITTEN, ids=" ".join)
-def test_a_file_that_is_there_is_kept(where: tuple[str, ...], tmp_path: Path, said: Any) -> None:
+def test_a_file_that_is_there_is_kept(where: tuple[str, ...], tmp_path: Path, ours: Any) -> None:
     file = Path("out.png")
     words = list(WRITTEN[where])
     for k, word in enumerate(words):
@@ -281,7 +274,7 @@ def test_a_file_that_is_there_is_kept(where: tuple[str, ...], tmp_path: Path, sa
             file.parent.mkdir()
     file.write_bytes(KEPT)
     words = [str(file) if word == "FILE" else word for word in words]
-    code, line = said(*where[:-1], *words)
+    code, _, line = ours(*where[:-1], *words)
     assert code == 2
     assert re.fullmatch(rf"adaptive-contact: \S*{file} exists already.*\n", line)
     assert file.read_bytes() == KEPT
@@ -298,33 +291,33 @@ def test_every_option_that_names_a_file_is_looked_at() -> None:
     assert {one for one in found if one not in OTHERS and one[-1] not in OTHERS} == {*WRITTEN}
 
 
-def test_a_picture_is_what_its_name_says(said: Any) -> None:
-    code, line = said("sim", "compare", "--picture", "walks.svg")
+def test_a_picture_is_what_its_name_says(ours: Any) -> None:
+    code, _, line = ours("sim", "compare", "--picture", "walks.svg")
     assert (code, line) == (
         2,
         "adaptive-contact: --picture walks.svg: expected a name that ends with .png\n",
     )
 
 
-def test_force_replaces(said: Any) -> None:
+def test_force_replaces(ours: Any) -> None:
     file = Path("walk.mcap")
     file.write_bytes(KEPT)
     words = ("sim", "walk", "--offline", "--seconds", "0.1", "--record", "walk.mcap")
-    assert said(*words, "--force") == (0, "")
+    assert ours(*words, "--force")[::2] == (0, "")
     recorded = file.read_bytes()
     assert recorded != KEPT
-    code, line = said("replay", "walk.mcap", "--events", "walk.mcap", "--force")
+    code, _, line = ours("replay", "walk.mcap", "--events", "walk.mcap", "--force")
     assert (code, "what the command reads" in line) == (2, True)
-    code, line = said("replay", "walk.mcap", "--events", "x", "--plot", "x")
+    code, _, line = ours("replay", "walk.mcap", "--events", "x", "--plot", "x")
     assert (code, "given twice" in line) == (2, True)
     assert file.read_bytes() == recorded
 
 
-def test_what_stands_in_a_usual_folder_is_made_again(said: Any) -> None:
+def test_what_stands_in_a_usual_folder_is_made_again(ours: Any) -> None:
     """A study that is refused for another reason shows that its files were none."""
     for name in ("out/demo/summary.json", "docs/adaptation.md"):
         Path(name).parent.mkdir(parents=True)
         Path(name).write_bytes(KEPT)
-    assert "expected 8 to 3600 s" in said("demo", "--seconds", "1")[1]
-    assert "no results there" in said("scenarios", "report")[1]
-    assert "exists already" in said("scenarios", "report", "--docs", "./docs/../docs")[1]
+    assert "expected 8 to 3600 s" in ours("demo", "--seconds", "1").err
+    assert "no results there" in ours("scenarios", "report").err
+    assert "exists already" in ours("scenarios", "report", "--docs", "./docs/../docs").err

@@ -20,15 +20,11 @@ UNITS = sorted(PACKAGING.glob("*.service"))
 PROGRAM = "/opt/adaptive-contact/bin/adaptive-contact"
 
 
-def exec_start(unit: Path) -> list[str]:
-    text = unit.read_text(encoding="utf-8").replace("\\\n", " ")
-    (line,) = re.findall(r"^ExecStart=(.*)$", text, flags=re.MULTILINE)
-    return shlex.split(line)
-
-
 @pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
 def test_the_command_of_a_unit_has_its_options(unit: Path) -> None:
-    program, *words = exec_start(unit)
+    text = unit.read_text(encoding="utf-8").replace("\\\n", " ")
+    (line,) = re.findall(r"^ExecStart=(.*)$", text, flags=re.MULTILINE)
+    program, *words = shlex.split(line)
     assert program == PROGRAM
     main.load_commands()
     command: Any = get_command(main.app)

@@ -20,15 +20,7 @@ from adaptive_contact.core.detect.stream import (
     StreamGuard,
 )
 from adaptive_contact.wire import Reject, ServoSample
-
-STEP = 20_000_000
-
-
-def sample(k: int, *, run: int | None = 1, t0: int = 0, **other: object) -> ServoSample:
-    fields: dict[str, object] = {
-        "t_ns": t0 + k * STEP, "seq": k, "measured": [0.1, 0.2], "desired": [0.1, 0.2], "run": run,
-    }  # fmt: skip
-    return ServoSample(**{**fields, **other})  # type: ignore[arg-type]
+from stepping import STEP, sample
 
 
 def feed(guard: StreamGuard, *stream: ServoSample) -> list[Accepted | Reject]:

@@ -126,21 +126,22 @@ def test_events_of_a_file_are_scored(walk: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "arguments", "word"),
+    ("make", "command", "arguments", "word"),
     [
-        (lambda p: write_walk(p, with_truth=False), [], "no truth"),
-        (lambda p: p.write_bytes(b"hello, world"), [], "is not a recording"),
-        (lambda p: None, [], "cannot be read"),
-        (write_walk, ["--events", "nowhere.jsonl"], "nowhere.jsonl: cannot be read"),
+        (lambda p: write_walk(p, with_truth=False), "score", [], "no truth"),
+        (lambda p: p.write_bytes(b"hello, world"), "score", [], "is not a recording"),
+        (lambda p: None, "score", [], "cannot be read"),
+        (write_walk, "score", ["--events", "nowhere.jsonl"], "nowhere.jsonl: cannot be read"),
+        (lambda p: write_walk(p, swings=0), "replay", ["--events", "-"], "no servo sample"),
     ],
 )
 def test_what_is_wrong_with_a_recording_is_one_line(
-    tmp_path: Path, make: Callable[[Path], Any], arguments: list[str], word: str
+    tmp_path: Path, make: Callable[[Path], Any], command: str, arguments: list[str], word: str
 ) -> None:
     path = tmp_path / "a.mcap"
     make(path)
     with pytest.raises(RecordingError, match=word) as caught:
-        printed("score", path, *arguments)
+        printed(command, path, *arguments)
     assert str(caught.value).count(str(path)) <= 1
 
 
@@ -181,6 +182,7 @@ def test_a_file_of_other_lines_than_events_is_refused(
         ("replay", ["--events", "-", "--speed", "max", "--all"], "--speed and --all"),
         ("replay", ["--baseline", "x"], "--baseline is for --events"),
         ("replay", ["--events", "no/out.jsonl"], "cannot be written"),
+        ("replay", ["--plot", "plot.pdf"], r"ends with \.html"),
         *(
             ("replay", ["--speed", speed], "expected a factor above 0")
             for speed in ("0", "-1", "nan", "inf", "fast", "", "1e9")
@@ -192,14 +194,6 @@ def test_options_that_cannot_be_are_refused(
 ) -> None:
     with pytest.raises(ConfigurationError, match=words):
         printed(command, walk, *options)
-
-
-def test_a_recording_without_samples_is_not_replayed(tmp_path: Path) -> None:
-    path, out = tmp_path / "a.mcap", tmp_path / "out.jsonl"
-    with RecordingWriter(path) as writer:
-        writer.write("other", b"", MSGPACK, 0)
-    with pytest.raises(RecordingError, match="no servo sample"):
-        printed("replay", path, "--events", out)
 
 
 def publish_until_file_grows(router: Link, path: Path) -> int:

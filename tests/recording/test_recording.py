@@ -76,7 +76,6 @@ def test_any_key_and_any_payload_come_back(tmp_path: Path, written: list[Record]
     recording = read_recording(path)
     assert list(recording) == written
     assert recording.damage is None
-    assert recording.damage is None
     assert list(recording) == written  # a second pass
 
 

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptive_contact.cli._replay_plot import check_plot, write_plot
+from adaptive_contact.cli._replay_plot import write_plot
 from adaptive_contact.core.bank import LearnerBank
-from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.model.model_file import shipped_baseline
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.recording import Record
@@ -150,11 +149,6 @@ def test_a_long_recording_is_drawn_in_bounded_size_without_losing_a_peak(tmp_pat
     assert leg["merged"] == 3
     assert held["left_out"] == 10_001
     assert any(touch["kind"] == "miss" for touch in held["touches"])  # type: ignore[attr-defined]
-
-
-def test_other_suffixes_are_refused_before_any_work() -> None:
-    with pytest.raises(ConfigurationError, match=r"ends with \.html"):
-        check_plot(Path("plot.pdf"))
 
 
 def test_curves_are_the_samples(

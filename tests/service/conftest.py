@@ -40,12 +40,16 @@ ROBOT = """
 name = "mini"
 period_s = 0.02
 quantum_rad = 0.00511
+[ros2]
+state = "/legs/controller_state"
 [[leg]]
 id = "lf"
 joints = ["coxa", "femur", "tibia"]
+ros2 = { joints = ["lf_coxa", "lf_femur", "lf_tibia"] }
 [[leg]]
 id = "rf"
 joints = ["coxa", "femur", "tibia"]
+ros2 = { joints = ["rf_coxa", "rf_femur", "rf_tibia"] }
 """
 
 

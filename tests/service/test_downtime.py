@@ -11,8 +11,8 @@ from adaptive_contact.robot import parse_robot
 from adaptive_contact.service.leg_endpoint import Downtime
 from adaptive_contact.service.state.format import Position
 from adaptive_contact.wire import Reject, ServoSample
+from stepping import sample
 
-STEP = 20_000_000
 USED = None
 ROBOT = """
 [robot]
@@ -23,13 +23,6 @@ quantum_rad = 0.005
 id = "rf"
 joints = ["coxa", "femur"]
 """
-
-
-def sample(k: int, *, run: int | None = 1, t0: int = 0, **other: object) -> ServoSample:
-    fields: dict[str, object] = {
-        "t_ns": t0 + k * STEP, "seq": k, "measured": [0.1, 0.2], "desired": [0.1, 0.2], "run": run,
-    }  # fmt: skip
-    return ServoSample(**{**fields, **other})  # type: ignore[arg-type]
 
 
 class Admission:

@@ -157,11 +157,9 @@ def quietly(over: threading.Event, read: Callable[..., None], *args: Any) -> Non
 @pytest.mark.e2e
 @pytest.mark.timeout(240)
 def test_no_form_shows_a_contact_for_longer_than_is_known(
-    serve: Any, program: Any, port: int, tmp_path: Path
+    serve: Any, program: Any, port: int, config: Path
 ) -> None:
     """Causes, one after the other; after each, what is known is shown again."""
-    config = tmp_path / "robot.toml"  # of the service, too
-    config.write_text(config.read_text() + '\n[ros2]\nstate = "/state"\n')
     served = [serve()]
     endpoint = served[0].endpoint
     forms, over, kept = Forms(), threading.Event(), ExitStack()

@@ -40,29 +40,6 @@ pytestmark = pytest.mark.e2e
 STATE = "/legs/controller_state"
 LEGS = ("lf", "rf")
 JOINTS = [f"{leg}_{joint}" for leg in LEGS for joint in ("coxa", "femur", "tibia")]
-ROBOT = f"""
-[robot]
-name = "mini"
-period_s = 0.02
-quantum_rad = 0.00511
-[ros2]
-state = "{STATE}"
-[[leg]]
-id = "lf"
-joints = ["coxa", "femur", "tibia"]
-ros2 = {{ joints = ["lf_coxa", "lf_femur", "lf_tibia"] }}
-[[leg]]
-id = "rf"
-joints = ["coxa", "femur", "tibia"]
-ros2 = {{ joints = ["rf_coxa", "rf_femur", "rf_tibia"] }}
-"""
-
-
-@pytest.fixture
-def config(tmp_path: Path) -> Path:
-    path = tmp_path / "robot.toml"
-    path.write_text(ROBOT)
-    return path
 
 
 def open_router(port: int) -> zenoh.Session:

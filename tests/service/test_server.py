@@ -182,19 +182,16 @@ def test_a_learner_that_is_being_made_holds_up_no_event(
 
 
 def test_described_legs_only(
-    router: Link, join: Callable[..., Link], inbox: Any, robot: Robot,
-    sample: Sample,
-) -> None:  # fmt: skip
-    bank = fake.FakeBank(robot)
-    service = Service(router, bank, robot, baseline=None, now_ns=0, described_only=True)
-    client, events = join(router.endpoints[0]), inbox(ContactEvent)
-    client.subscribe(ALL_CONTACT, events, history=True)
-    client.query(SERVICE_STATUS)
-    with at_work(service):
+    router: Link, lockstep: Callable[..., Any], inbox: Any, robot: Robot, sample: Sample
+) -> None:
+    step = lockstep(router, described_only=True)
+    events = inbox(ContactEvent).subscribe(step.client, ALL_CONTACT, history=True)
+    step.settle()
+    with at_work(step.service):
         for leg in ("extra", *robot.leg_ids):
-            client.publisher(servo_key(leg)).put(sample(1, contact=True))
+            step.client.publisher(servo_key(leg)).put(sample(1, contact=True))
         events.wait(len(robot.leg_ids))
-    assert service.status(0).samples == len(robot.leg_ids)
+    assert step.service.status(0).samples == len(robot.leg_ids)
 
 
 def test_wildcards_are_counted_for_the_service(step: Any, inbox: Any) -> None:
@@ -205,21 +202,20 @@ def test_wildcards_are_counted_for_the_service(step: Any, inbox: Any) -> None:
 
 
 def test_a_complaint_that_comes_or_goes_is_published_at_once(
-    router: Link, join: Callable[..., Link], robot: Robot, inbox: Any
+    router: Link, lockstep: Callable[..., Any], inbox: Any
 ) -> None:
     """Not a second later: who reads "state is saved again" in the log looks at `watch` next."""
     facts = StateFacts(folder="kept", restored=[], refused=[], saved=0, failed=0, error=None)
     disk = mock.Mock(facts=facts)
     disk.restore.return_value, disk.due.return_value = None, False
-    service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0, keeper=disk)
-    client = join(router.endpoints[0])
-    got = inbox(ServiceStatus).subscribe(client, SERVICE_STATUS, history=True)
-    client.query(SERVICE_STATUS)
+    step = lockstep(router, keeper=disk)
+    got = inbox(ServiceStatus).subscribe(step.client, SERVICE_STATUS, history=True)
+    step.settle()
     errors = [None, None, "disk full", "disk full, still", None, None]
     for tick, error in enumerate(errors):
         disk.facts = msgspec.structs.replace(facts, error=error)
-        service.publish_due(tick * 100 * MS)
-    service.publish_due(S + 400 * MS)
+        step.service.publish_due(tick * 100 * MS)
+    step.service.publish_due(S + 400 * MS)
     notes = [(status.note, status.uptime_s) for status in got.wait(4)]
     assert notes == [(None, 0.0), ("state: disk full", 0.2), (None, 0.4), (None, 1.4)]
 
@@ -299,21 +295,18 @@ def test_a_worker_that_is_behind_ends_a_tick_before_it_catches_up(
 
 
 def test_garbage_is_collected_after_a_tick(
-    router: Link, join: Callable[..., Link], inbox: Any, robot: Robot,
-    sample: Callable[..., ServoSample],
-) -> None:  # fmt: skip
+    router: Link, lockstep: Callable[..., Any], inbox: Any, sample: Sample
+) -> None:
     pauses = inbox()
 
     class Recorder(Sweeper):
         def sweep(self, now_ns: int, *, pause: bool) -> None:
             pauses(pause)
 
-    service = Service(
-        router, fake.FakeBank(robot), robot, baseline=None, now_ns=0, sweeper=Recorder()
-    )
-    with at_work(service):
+    step = lockstep(router, sweeper=Recorder())
+    with at_work(step.service):
         assert not any(pauses.wait(3)), "without a sample it is no pause between two"
-        publisher = join(router.endpoints[0]).publisher(servo_key("lf"))
+        publisher = step.client.publisher(servo_key("lf"))
         for seq in itertools.count(1):
             publisher.put(sample(seq))
             if any(pauses.wait(len(pauses.items) + 1)):

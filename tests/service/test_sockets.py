@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 
 import pytest
 
@@ -44,11 +44,9 @@ def watching(
 def fill(ours: socket.socket) -> None:
     """Send until the peer, which does not read, takes no more."""
     ours.setblocking(False)
-    try:
+    with suppress(BlockingIOError):
         while True:
             ours.send(b"x" * 65536)
-    except BlockingIOError:
-        pass
 
 
 @pytest.mark.parametrize(("before", "on"), [((1, 10), 0), ((1, 0), 1), ((0, 0), 0)])

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import pytest
 from rich.console import Console
-from views import MS, S, drawn, event, heartbeat, service, status, truth
+from views import MS, S, event, heartbeat, service, status, truth
 
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.watch import Feed, LegView, View, Watch
@@ -26,6 +26,13 @@ from adaptive_contact.wire import (
     truth_key,
 )
 from waiting import matched, until
+
+
+def drawn(view: View, width: int = 180) -> str:
+    """The table of `watch`, as text."""
+    out = io.StringIO()
+    Console(width=width, file=out).print(table(view, width))
+    return out.getvalue()
 
 
 def after_one_swing() -> Watch:
@@ -281,33 +288,27 @@ LEGS = [
 ]
 
 
-def lines(view: View, width: int) -> list[str]:
-    out = io.StringIO()
-    Console(width=width, file=out).print(table(view, width))
-    return out.getvalue().splitlines()
-
-
 def test_a_leg_whose_status_has_not_come_yet_says_so_in_its_place() -> None:
     watch = Watch()
     watch.event(event(1, leg="aa"), 0)
     watch.service(service())
     assert [leg.leg for leg in watch.view(0).legs] == ["rf", "lf", "aa"]
-    (row,) = [line for line in lines(watch.view(S), 120) if line.startswith("rf ")]
+    (row,) = [line for line in drawn(watch.view(S), 120).splitlines() if line.startswith("rf ")]
     assert row.split()[:3] == ["rf", "unknown", "waiting"]
 
 
 @pytest.mark.parametrize("width", [30, 40, 60, 80, 100, 120, 160])
 def test_a_row_is_a_line_at_any_width(width: int) -> None:
     """Columns that do not fit are left out and named; nothing is cut to pieces."""
-    drawn = lines(View(legs=LEGS, alive=True), width)
-    assert all(len(line.rstrip()) <= width for line in drawn)
-    rows = [line for line in drawn if re.match(r"leg\d+ ", line)]
+    lines = drawn(View(legs=LEGS, alive=True), width).splitlines()
+    assert all(len(line.rstrip()) <= width for line in lines)
+    rows = [line for line in lines if re.match(r"leg\d+ ", line)]
     assert len(rows) == len(LEGS)
-    assert not any("\u2026" in line for line in drawn)
-    words = " ".join(" ".join(drawn).split())
+    assert not any("\u2026" in line for line in lines)
+    words = " ".join(" ".join(lines).split())
     assert "leg11: what is wrong, in words that go on for longer than a line has" in words
     assert "leg11: refused: implausible 4, malformed 3" in words
-    head = next(line for line in drawn if line.startswith("leg "))
+    head = next(line for line in lines if line.startswith("leg "))
     named = words.partition(f"not shown at {width} columns: ")[2]
     for column in ("status", "seen", "false", "residual", "model", "Hz", "changed"):
         assert (column in head) != (column in named), column
@@ -354,9 +355,9 @@ def test_the_table_says_what_matters() -> None:
 
 def test_p_has_a_column_where_it_is_known() -> None:
     legs = [LegView(leg="lf", contact=True, p=0.987), LegView(leg="rf", contact=False)]
-    head, _, lf, rf = lines(View(legs=legs, alive=True), 120)[2:6]
+    head, _, lf, rf = drawn(View(legs=legs, alive=True), 120).splitlines()[2:6]
     assert (head.split()[3], lf.split()[3], rf.split()[3]) == ("p", "0.99", "-")
-    without = "\n".join(lines(View(legs=legs[1:], alive=True), 120))
+    without = drawn(View(legs=legs[1:], alive=True), 120)
     assert " p " not in without
     assert "latency" not in without, "that is of truth, which nobody tells"
 

@@ -1,13 +1,9 @@
-"""Messages that `watch` receives, and its table as text."""
+"""Messages that `watch` receives."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from rich.console import Console
-
-from adaptive_contact.service.watch import View
-from adaptive_contact.service.watch_table import table
 from adaptive_contact.status import LegFacts, ServiceStatus
 from adaptive_contact.wire import ContactEvent, ContactTruth, Heartbeat, LearnerStatus, LegHeartbeat
 
@@ -67,10 +63,3 @@ def service(**fields: Any) -> ServiceStatus:
             **fields,
         }
     )
-
-
-def drawn(view: View) -> str:
-    console = Console(width=180, record=True, file=open("/dev/null", "w"))  # noqa: SIM115, PTH123
-    console.print(table(view))
-    console.file.close()
-    return console.export_text()

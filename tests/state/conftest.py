@@ -9,11 +9,28 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from adaptive_contact.service.state import StateStore
+from adaptive_contact.service.state import Identity, Record, StateStore
 from adaptive_contact.service.state.format import Position
 from adaptive_contact.service.state.keeper import StateKeeper
 
 S = 1_000_000_000
+WHO = Identity("mini", "rf", "servo", "0123456789abcdef")
+
+
+def record(version: int = 1, **fields: Any) -> Record:
+    """A state of that leg, told apart by its version."""
+    return Record(
+        **{
+            "identity": WHO,
+            "saved_ns": version,
+            "package": "",
+            "model_version": version,
+            "run": None,
+            "seq": version,
+            "body": {"rows": {"shape": [2, 5], "data": bytes(80)}, "ticks": 7, "name": "ü"},
+            **fields,
+        }
+    )
 
 
 class Learner:

@@ -6,27 +6,12 @@ import hashlib
 import struct
 
 import msgspec
-import numpy as np
 import pytest
 
-from adaptive_contact.service.state import Identity, Record, Refused, pack, unpack
+from adaptive_contact.service.state import Identity, Refused, pack, unpack
 from adaptive_contact.service.state.format import FORMAT
 
-WHO = Identity("mini", "rf", "servo", "0123456789abcdef")
-
-
-def record(**changes: object) -> Record:
-    body = {"weights": {"shape": [2, 2], "data": np.eye(2).tobytes()}, "ticks": 7, "name": "ü"}
-    made = Record(
-        identity=WHO,
-        saved_ns=5,
-        package="0.1.0",
-        model_version=3,
-        run=12,
-        seq=99,
-        body=body,
-    )
-    return msgspec.structs.replace(made, **changes)
+from .conftest import WHO, record
 
 
 def sealed(body: bytes, version: int = FORMAT) -> bytes:
@@ -43,8 +28,9 @@ def why(data: bytes, identity: Identity | None = WHO) -> str:
 
 
 def test_what_is_packed_is_read_back() -> None:
-    assert unpack(pack(record()), WHO) == record()
-    assert unpack(pack(record(run=None, seq=None)), None) == record(run=None, seq=None)
+    whole = record(3, saved_ns=5, package="0.1.0", run=12, seq=99)
+    assert unpack(pack(whole), WHO) == whole
+    assert unpack(pack(record(seq=None)), None) == record(seq=None)
     known = record(superseded=(None, 3))
     assert unpack(pack(known), WHO) == known
 

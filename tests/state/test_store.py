@@ -24,19 +24,7 @@ from adaptive_contact.service.state import (
 )
 from adaptive_contact.service.state.format import default_folder
 
-WHO = Identity("mini", "rf", "servo", "0123456789abcdef")
-
-
-def record(version: int = 1, identity: Identity = WHO) -> Record:
-    return Record(
-        identity=identity,
-        saved_ns=version,
-        package="",
-        model_version=version,
-        run=None,
-        seq=version,
-        body={"data": bytes(1000)},
-    )
+from .conftest import WHO, record
 
 
 @pytest.fixture
@@ -49,14 +37,6 @@ def opened(tmp_path: Path) -> Any:
 def versions(made: StateStore) -> list[int | str]:
     found = [one for _, one in made.candidates(WHO)]
     return [one.why if isinstance(one, Refused) else one.model_version for one in found]
-
-
-def test_the_newest_comes_first_then_the_one_before(opened: StateStore) -> None:
-    assert versions(opened) == []
-    for version in (1, 2, 3):
-        opened.save(record(version))
-    assert versions(opened) == [3, 2]
-    assert {path.suffix for path in opened.folder.iterdir()} == {".state", ".before", ""}
 
 
 def test_a_damaged_newest_leaves_the_one_before_and_is_set_aside(opened: StateStore) -> None:
@@ -127,10 +107,6 @@ def test_one_service_at_a_time_saves(opened: StateStore, tmp_path: Path) -> None
     with pytest.raises(OSError, match="in use by another service"):
         second.save(record(2))
     assert versions(opened) == [1]
-    opened.close()
-    third = StateStore.open(tmp_path, "mini")
-    assert third.trouble is None
-    third.close()
 
 
 def test_a_folder_that_was_removed_is_made_anew_and_held(
@@ -258,6 +234,7 @@ def test_a_save_writes_through_no_link(opened: StateStore, suffix: str, kind: st
     assert victim.read_bytes() == b"precious"
     assert versions(opened) == [3, 2]
     assert not any(path.is_symlink() for path in opened.folder.iterdir())
+    assert {path.suffix for path in opened.folder.iterdir()} == {".state", ".before", ""}
 
 
 def test_a_planted_lock_or_folder_is_not_followed(tmp_path: Path) -> None:

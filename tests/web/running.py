@@ -72,10 +72,7 @@ class Running:
 
 
 def everything(one: socket.socket) -> bytes:
-    parts = []
-    while part := one.recv(65536):
-        parts.append(part)
-    return b"".join(parts)
+    return one.makefile("rb").read()
 
 
 def answer_of(data: bytes) -> tuple[int, dict[str, str], bytes]:

@@ -120,38 +120,20 @@ def test_without_the_token_nothing_is_done(guarded: Running) -> None:
 
 # -- strangers -----------------------------------------------------------------------------------
 
-
-@pytest.mark.parametrize(
-    ("path", "status"),
-    [
-        ("/../etc/passwd", 404),
-        ("/%2e%2e/%2e%2e/etc/passwd", 404),
-        ("/static/page.js", 404),
-        ("/server.py", 404),
-        ("/page.js/", 404),
-        ("/PAGE.JS", 404),
-        ("/page.js%00.html", 404),
-        ("http://evil.example/", 404),
-        ("*", 404),
-        ("/" + "a" * 8000, 404),
-        ("/?" + "&".join(f"a{i}=1" for i in range(100)), 400),
-    ],
+ASKED = b" HTTP/1.1\r\nHost: {host}\r\n\r\n"
+METHODS = (b"POST", b"HEAD", b"PUT", b"DELETE", b"OPTIONS", b"TRACE", b"CONNECT", b"get")
+NOWHERE = (
+    b"/../etc/passwd",
+    b"/%2e%2e/%2e%2e/etc/passwd",
+    b"/static/page.js",
+    b"/server.py",
+    b"/page.js/",
+    b"/PAGE.JS",
+    b"/page.js%00.html",
+    b"http://evil.example/",
+    b"*",
+    b"/" + b"a" * 8000,
 )
-def test_paths(shared: Running, path: str, status: int) -> None:
-    found, headers, body = shared.get(path)
-    assert found == status
-    assert body.count(b"\n") == 1
-    assert "Content-Security-Policy" in headers
-
-
-@pytest.mark.parametrize(
-    "method", ["POST", "HEAD", "PUT", "DELETE", "OPTIONS", "TRACE", "CONNECT", "get"]
-)
-def test_methods(shared: Running, method: str) -> None:
-    status, headers, body = shared.get("/", method=method)
-    assert status == 405
-    assert headers["Allow"] == "GET"
-    assert body == b"GET only\n"
 
 
 @pytest.mark.parametrize(
@@ -221,13 +203,18 @@ def test_a_link_on_another_site_leads_to_the_page(shared: Running) -> None:
         (b"GET / of HTTP/1.1\r\n\r\n", 400),
         (b"\x00\x01\x02 \xff HTTP/1.1\r\n\r\n", 405),
         (b"GET / HTTP/1.1\r\n\r\n", 421),
+        (b"GET /?" + b"&".join(b"a%d=1" % i for i in range(100)) + ASKED, 400),
+        *((b"GET " + path + ASKED, 404) for path in NOWHERE),
+        *((method + b" /" + ASKED, 405) for method in METHODS),
     ],
 )
-def test_requests_that_are_none(shared: Running, request_: bytes, status: int) -> None:
+def test_requests_that_get_nothing(shared: Running, request_: bytes, status: int) -> None:
     found, headers, body = shared.send(request_.replace(b"{host}", shared.host.encode()))
     assert found == status
     assert body.count(b"\n") == 1
     assert headers["Connection"] == "close"
+    assert "Content-Security-Policy" in headers
+    assert (headers.get("Allow") == "GET") is (body == b"GET only\n") is (status == 405)
 
 
 def test_half_a_request_is_ended(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
