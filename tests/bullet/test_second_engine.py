@@ -121,9 +121,9 @@ def test_rough_ground_has_no_end() -> None:
 
 def test_no_record_is_made_of_a_robot_that_falls(monkeypatch: pytest.MonkeyPatch) -> None:
     lower = SHAPES["quadruped"]
-    monkeypatch.setitem(SHAPES, "quadruped", dataclasses.replace(lower, bump_m=0.06))
+    monkeypatch.setitem(SHAPES, "quadruped", dataclasses.replace(lower, bump_m=0.1))
     with pytest.raises(RuntimeError, match="fell after"):
-        record(Plan("quadruped", GAITS["trot"], Ground("rough"), 30.0, 11))
+        record(Plan("quadruped", GAITS["trot"], Ground("rough"), 30.0, 12))
 
 
 def test_a_trial_of_the_study_has_a_row(tmp_path: Path) -> None:
