@@ -104,11 +104,11 @@ def _scaled(value: Any, factor: float) -> Any:
 def notice(mutant: Mutant) -> str | None:
     """The first tick of a golden recording that a change makes another; None where none is."""
     folders = ":".join(f"{ROOT}/{of}" for of in ("", "tests", "sim", "models"))
-    # Compiled anew: nothing is kept of a change.
-    anew = {CACHE_VARIABLE: ""} if mutant.compiled else {}
+    # Without the cache: machine code of a change is not kept.
+    uncached = {CACHE_VARIABLE: ""} if mutant.compiled else {}
     done = subprocess.run(
         [sys.executable, "-c", f"from same.mutants import Mutant, replay; replay({mutant})"],
-        env={**os.environ, **ONE_THREAD, "PYTHONPATH": folders, **anew},
+        env={**os.environ, **ONE_THREAD, "PYTHONPATH": folders, **uncached},
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     if done.returncode:  # what is raised while modules are imported

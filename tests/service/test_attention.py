@@ -102,7 +102,7 @@ def test_a_cause_of_one_leg_or_of_several_is_an_entry_with_its_remedy(
 def test_a_count_is_shown_when_it_grows_and_for_a_minute() -> None:
     attention = Attention()
     of_old = view(service(events_lost=3))
-    assert attention.list_findings(of_old, {}, 0) == [], "nobody can do anything about it now"
+    assert attention.list_findings(of_old, {}, 0) == [], "nothing is to be done about it now"
     (grown,) = attention.list_findings(view(service(events_lost=4)), {}, S)
     assert grown.what == "4 contact events were lost: held up for too long, or the link was closed"
     assert len(attention.list_findings(view(service(events_lost=4)), {}, 60 * S)) == 1

@@ -91,8 +91,13 @@ def turned(x, y, z, links, j, cos, sin):
 
 
 @compiled
-def locate_foot_of_any(angles, links):
-    """Compute the place of the foot of any chain in its leg's frame, m."""
+def forward_kinematics(angles, links):
+    """Compute the place of any chain's foot in its leg's frame, m.
+
+    Args:
+        angles: (J,) rad.
+        links: of :func:`tabulate`.
+    """
     x = y = z = 0.0
     for j in range(len(angles) - 1, -1, -1):
         x, y, z = turned(
@@ -106,7 +111,7 @@ def locate_foot_of_any(angles, links):
 def locate_foot(angles, links, axis_kinds, foot):
     """Fill the (3,) place of the foot in its leg's frame, m; see :func:`tabulate`."""
     if axis_kinds[0] == ANY:
-        foot[0], foot[1], foot[2] = locate_foot_of_any(angles, links)
+        foot[0], foot[1], foot[2] = forward_kinematics(angles, links)
         return
     pitch = yaw = x = y = z = 0.0
     along, up, ahead, aside = 1.0, 0.0, 1.0, 0.0
@@ -129,7 +134,7 @@ def height_gradient(angles, links, axis_kinds, gradient):
     """Fill (J,) m per rad, how the foot rises with each joint."""
     if axis_kinds[0] == ANY:
         # The foot from each joint, and the vertical, as the link beyond the joint sees them.
-        x, y, z = locate_foot_of_any(angles, links)
+        x, y, z = forward_kinematics(angles, links)
         u, v, w = 0.0, 0.0, 1.0
         for j in range(len(angles)):
             cos, sin = math.cos(angles[j]), -math.sin(angles[j])
