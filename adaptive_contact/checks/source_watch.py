@@ -187,10 +187,10 @@ class SourceWatch:
         if np.ptp(newest, axis=0).max() < TWIN_STEPS * self._place.leg.quantum:
             return None
         for row in range(batch.count):
-            other = batch.kept(row, NEEDED_SAMPLES)
-            if row != self._place.row and np.array_equal(other.measured[-TWIN_TICKS:], newest):
+            read = batch.kept(row, TWIN_TICKS).measured
+            if row != self._place.row and np.array_equal(read, newest):
                 self._twin = batch.described[row].id
-                return other
+                return batch.kept(row, NEEDED_SAMPLES)
         return None
 
 
